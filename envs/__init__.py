@@ -222,7 +222,8 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
     note_definition(name, environment)
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)
-    module, word = environment.__module__, environment.__qualname__
+    module = environment.__module__
+    word = environment.__qualname__
     importable = getattr(sys.modules.get(module), word, None) is environment
     entry_point = f"{module}:{word}" if importable else cast(EnvCreator, environment)
     vector = f"ms_highway.envs.vector:{versioned(name)}"

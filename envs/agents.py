@@ -156,12 +156,11 @@ def check_spaces(name: str, env: gym.Env) -> None:
     """
     agent = _agent(name)
     for space in ("observation_space", "action_space"):
-        known, offered = getattr(agent, space, None), getattr(env, space)
+        known = getattr(agent, space, None)
+        offered = getattr(env, space)
         if known is not None and known != offered:
-            scene, what = (
-                env.spec.id if env.spec else "the environment",
-                space.replace("_", " "),
-            )
+            scene = env.spec.id if env.spec else "the environment"
+            what = space.replace("_", " ")
             raise ValueError(
                 f"{name}: the agent's {what} is {known}, that of {scene} {offered};"
                 " train one there"
@@ -187,7 +186,8 @@ class AgentDrives(gym.Wrapper):
     def __init__(self, env: gym.Env, name: str) -> None:
         super().__init__(env)
         check_spaces(name, env)
-        self.name, self.policy = name, policy_of(name)
+        self.name = name
+        self.policy = policy_of(name)
         self.action_space = spaces.Discrete(1)
 
     def reset(self, **options: Any) -> tuple[Any, Config]:

@@ -164,7 +164,8 @@ class InteractionEnv(GameEnv):
     """
 
     scenario: ClassVar[Scenario]
-    settings_type, viewer_type = Settings, InteractionViewer
+    settings_type = Settings
+    viewer_type = InteractionViewer
     reset_options = ("initial_states", "config")
     settings: Settings
     history: list[tuple[ControlStep | None, float]]
@@ -172,7 +173,8 @@ class InteractionEnv(GameEnv):
     @classmethod
     def default_config(cls) -> Config:
         """Return highway-env's default configuration with the scenario's keys."""
-        scenario, several = cls.scenario, bool(cls.scenario.streams)
+        scenario = cls.scenario
+        several = bool(cls.scenario.streams)
         return {
             **super().default_config(),
             "observation": {
@@ -220,10 +222,8 @@ class InteractionEnv(GameEnv):
             config["controller"] = controller_config(config["controller"])
         settings = read_own(Settings, config)
         settings.check(cls.scenario)
-        controller, place = (
-            settings.controller,
-            f"config['controller'] is {config['controller']}",
-        )
+        controller = settings.controller
+        place = f"config['controller'] is {config['controller']}"
         if config["action"]["type"] == "HumanModelAction" and not controller.predicts:
             raise ValueError(
                 f"{place}, with which no model is chosen; leave it out, or the action"
@@ -254,7 +254,8 @@ class InteractionEnv(GameEnv):
         self.weights = read_only(np.asarray(weights))
         given = self.options.get("initial_states")
         if given is not None:
-            states, shape = np.array(given, dtype=float), (self.cars, 4)
+            states = np.array(given, dtype=float)
+            shape = (self.cars, 4)
             if states.shape != shape or not np.isfinite(states).all():
                 remedy = (
                     f"{self.scenario.name} needs an array {shape} of finite numbers"
@@ -263,10 +264,8 @@ class InteractionEnv(GameEnv):
                     f"options['initial_states'] is {states.tolist()}; {remedy}"
                 )
             states = facing(states)
-        humans, driver = (
-            self.settings.humans,
-            HUMAN_DRIVERS.get(self.settings.human_driver or ""),
-        )
+        humans = self.settings.humans
+        driver = HUMAN_DRIVERS.get(self.settings.human_driver or "")
         human: Any = driver if is_vehicle(driver) else HumanVehicle
         kinds = [
             RobotVehicle,
@@ -286,7 +285,8 @@ class InteractionEnv(GameEnv):
             Cone(self.road, place)
             for place in np.asarray(self.game.scene.obstacles, dtype=float)
         ]
-        self.history, self._collided = [], False
+        self.history = []
+        self._collided = False
         self._drive()
 
     @property
@@ -327,14 +327,15 @@ class InteractionEnv(GameEnv):
 
     def _drive(self) -> None:
         """Give the cars their drivers."""
-        cars, truth = (
-            self.road.vehicles,
-            replace(self.game, humans=replace(self.game.humans, weights=self.weights)),
+        cars = self.road.vehicles
+        truth = replace(
+            self.game, humans=replace(self.game.humans, weights=self.weights)
         )
         for place, (human, number) in enumerate(
             zip(self.humans, self.draw_drivers(self.np_random), strict=True)
         ):
-            own, name = swap_roles(truth, place), (None, *self.settings.drivers)[number]
+            own = swap_roles(truth, place)
+            name = (None, *self.settings.drivers)[number]
             added = HUMAN_DRIVERS.get(name, Keyboard) if name else None
             if is_vehicle(added):  # which drives by itself
                 continue
@@ -349,7 +350,8 @@ class InteractionEnv(GameEnv):
 
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs before they are measured."""
-        settings, order = self.settings, None
+        settings = self.settings
+        order = None
         if isinstance(self.action_type, HumanModelAction):
             self._terms[COMPUTATION] = 0.0
             order = in_order(np.zeros((1, 1), int), settings.models)

@@ -146,10 +146,8 @@ def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind
         ValueError: for anything unknown, missing or impossible.
     """
     values = as_dictionary(place, values)
-    known, tag = (
-        {each.encode_name: each for each in fields(kind)},
-        kind.__struct_config__.tag_field,
-    )
+    known = {each.encode_name: each for each in fields(kind)}
+    tag = kind.__struct_config__.tag_field
     refuse_unknown(place, values, [*known, tag] if tag else known)
     for key, each in known.items():
         if each.required or key in values:

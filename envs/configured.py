@@ -203,7 +203,8 @@ class ConfiguredEnv(AbstractEnv):
             self._coming = config
             return
         with self._all_or_nothing():
-            self.config, self._coming = config, None
+            self.config = config
+            self._coming = None
             self._read()
             super().configure(None)
             if hasattr(self, "road"):  # not yet in highway-env's constructor
@@ -212,7 +213,8 @@ class ConfiguredEnv(AbstractEnv):
                     None,
                 )  # spaces must not depend on the cars of the last episode
                 self.define_spaces()
-                self.road, self._stale = road, True
+                self.road = road
+                self._stale = True
 
     @contextmanager
     def _all_or_nothing(self) -> Iterator[None]:
@@ -295,7 +297,8 @@ class ConfiguredEnv(AbstractEnv):
                 check_window(self.render_mode)
             self.road = None
             start = super().reset(seed=seed)
-        self._running, self._stale = True, False
+        self._running = True
+        self._stale = False
         if self.config["manual_control"]:
             self.action_type.act(
                 self.action_type.last_action

@@ -101,7 +101,7 @@ class DemonstrationEnv(GameEnv):
     """
 
     settings_type = DemonstrationSettings
-    types = {
+    types = {  # noqa: RUF012
         "action": {"ContinuousAction": RANGES},
         "observation": {"CarTracks": {}},
     }
@@ -129,14 +129,10 @@ class DemonstrationEnv(GameEnv):
 
     def _reset(self) -> None:
         """Build the road and place the cars."""
-        start, steps = (
-            self._draw_start(),
-            self.episode_steps + self.game.planner.horizon,
-        )
-        times, lanes = (
-            np.arange(steps + 1) * TIME_STEP,
-            np.asarray(self.game.scene.lanes, dtype=float),
-        )
+        start = self._draw_start()
+        steps = self.episode_steps + self.game.planner.horizon
+        times = np.arange(steps + 1) * TIME_STEP
+        lanes = np.asarray(self.game.scene.lanes, dtype=float)
         routes = draw_routes(
             self.np_random, DENSITIES[self.config["density"]], times, lanes, start
         )
@@ -148,8 +144,10 @@ class DemonstrationEnv(GameEnv):
         self._place([driver, *(RoutedVehicle(self.road, route) for route in routes)])
 
     def _draw_start(self) -> Car:
-        random, scene = self.np_random, self.game.scene
-        lanes, half = np.asarray(scene.lanes, dtype=float), float(scene.lane_width) / 2
+        random = self.np_random
+        scene = self.game.scene
+        lanes = np.asarray(scene.lanes, dtype=float)
+        half = float(scene.lane_width) / 2
         y = random.choice(lanes) + random.normal(scale=LATERAL_SPREAD)
         if random.uniform() < OFF_ROAD_SHARE:
             inside = random.uniform(-OFF_ROAD_DEPTH, 0) + BicycleVehicle.WIDTH / 2
@@ -238,11 +236,13 @@ def draw_routes(
 def _draw_route(
     random: np.random.Generator, times: Times, lanes: Vector, x: float
 ) -> np.ndarray:
-    lane, speed = random.integers(len(lanes)), random.uniform(*SPEEDS)
+    lane = random.integers(len(lanes))
+    speed = random.uniform(*SPEEDS)
     beside = random.choice(
         [place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)]
     )
-    start, lasts = random.uniform(*CHANGE_STARTS), random.uniform(*CHANGE_LASTS)
+    start = random.uniform(*CHANGE_STARTS)
+    lasts = random.uniform(*CHANGE_LASTS)
     width = (lanes[beside] - lanes[lane]) * (random.uniform() < LANE_CHANGES)
     share = np.clip((times - start) / lasts, 0, 1)
     y = lanes[lane] + width * share**3 * (10 - 15 * share + 6 * share**2)

@@ -28,8 +28,10 @@ compiled_features = jax.jit(features)
 
 def straight_road(game: Game) -> RoadNetwork:
     """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
-    network, lanes = RoadNetwork(), np.asarray(game.scene.lanes, dtype=float)
-    width, limit = float(game.scene.lane_width), float(game.robot.speed_limit)
+    network = RoadNetwork()
+    lanes = np.asarray(game.scene.lanes, dtype=float)
+    width = float(game.scene.lane_width)
+    limit = float(game.robot.speed_limit)
     for y in lanes:
         lines = [
             LineType.CONTINUOUS_LINE if y == edge else LineType.STRIPED

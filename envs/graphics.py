@@ -57,11 +57,11 @@ class InteractionViewer(Viewer):
         """Draw everything; the view follows the robot along the road, but not to the
         side.
         """
-        surface, env, step = self.sim_surface, self.env, self.env.robot.last_step
-        lanes, half = (
-            np.asarray(env.game.scene.lanes, float),
-            float(env.game.scene.lane_width) / 2,
-        )
+        surface = self.sim_surface
+        env = self.env
+        step = self.env.robot.last_step
+        lanes = np.asarray(env.game.scene.lanes, float)
+        half = float(env.game.scene.lane_width) / 2
         ends = lanes.min() - half, lanes.max() + half
         surface.move_display_window_to(np.array([env.robot.position[0], np.mean(ends)]))
         above, below = (surface.pos2pix(0, end)[1] for end in ends)
@@ -181,11 +181,9 @@ class InteractionViewer(Viewer):
         """Return two lines: times; the reason for a single human's model, the distance
         to cones, the plan's status.
         """
-        controller, cones, remarks = (
-            self.env.settings.controller,
-            self.env.distance_to_cones,
-            [],
-        )
+        controller = self.env.settings.controller
+        cones = self.env.distance_to_cones
+        remarks = []
         times = {
             "planning": step.planning_seconds,
             "deciding": step.decision_seconds,
@@ -256,11 +254,9 @@ class InteractionViewer(Viewer):
         height is the planning time.
         """
         humans = len(steps[0].models)
-        values, heading, high = (
-            [float(humans)] * len(steps),
-            "humans that each model predicts",
-            float(humans),
-        )
+        values = [float(humans)] * len(steps)
+        heading = "humans that each model predicts"
+        high = float(humans)
         if humans == 1:
             values = [1e3 * step.planning_seconds for step in steps]
             heading = "planning time of each step [ms], in the colour of its model"

@@ -380,11 +380,14 @@ def controller_config(text: str) -> Config:
     name = text.removesuffix(BELIEF)
     kind, _, rest = name.partition(":")
     if is_model(name):
-        kind, rest = "fixed", name
+        kind = "fixed"
+        rest = name
     elif name in function_names():
-        kind, rest = "driver", name
+        kind = "driver"
+        rest = name
     elif is_agent(name):
-        kind, rest = "agent", name
+        kind = "agent"
+        rest = name
     if kind not in CONTROLLERS:
         known = (
             f"name a model ({model_names()}), or one like {EXAMPLES}; the types are"

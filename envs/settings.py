@@ -123,11 +123,9 @@ class Settings(Struct, frozen=True):
             self.controller, ControllerSettings
         ):  # copies already have one
             force_setattr(self, "controller", controller_settings(self.controller))
-        horizon, time_step, chosen = (
-            self.horizon,
-            self.time_step,
-            gradient_steps(self.planning)[0],
-        )
+        horizon = self.horizon
+        time_step = self.time_step
+        chosen = gradient_steps(self.planning)[0]
         if chosen > MAX_ITERATIONS:
             why = (
                 f"{horizon} steps of {time_step:g} s need {chosen} gradient steps,"

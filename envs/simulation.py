@@ -74,7 +74,8 @@ def shared_loop(
         ValueError: for environments that override a part of a step, for controllers
             that do not predict, and for costs that must be measured.
     """
-    kind, settings = type(environment), environment.settings
+    kind = type(environment)
+    settings = environment.settings
     if own := [
         name
         for name in STEP
@@ -131,7 +132,8 @@ def draw_start(
         random: source of the draws.
     """
     start, weights = environment.draw_episode(random)
-    drivers, steps = environment.draw_drivers(random), environment.episode_steps
+    drivers = environment.draw_drivers(random)
+    steps = environment.episode_steps
     rungs = np.full((steps, environment.settings.humans), DECIDES, np.int32)
     if isinstance(settings.chooser, ModelOrder):
         names = [model.name for model in loop.models]
@@ -209,16 +211,12 @@ class FunctionalEnv:
         if isinstance(scenario, str):
             scenario = ENVIRONMENTS[scenario_name(scenario)]
         self.environment = env = scenario(config)
-        self.observation_space, self.action_space = (
-            env.observation_space,
-            env.action_space,
-        )
+        self.observation_space = env.observation_space
+        self.action_space = env.action_space
         self.steps = env.episode_steps
-        settings, controller, kind = (
-            env.settings,
-            env.settings.controller,
-            env.action_type,
-        )
+        settings = env.settings
+        controller = env.settings.controller
+        kind = env.action_type
         self.agent_drives = type(kind) is ContinuousAction and kind.size == 2
         if not (self.agent_drives or isinstance(kind, Autopilot)):
             known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
@@ -297,7 +295,8 @@ class FunctionalEnv:
                 also as `ms_highway.loop.batch.checked_records` does.
         """
         refuse_after_fork()
-        action, space = jnp.asarray(action), self.action_space
+        action = jnp.asarray(action)
+        space = self.action_space
         if action.shape != space.shape:
             raise ValueError(
                 f"the action has shape {action.shape}; give one of {space}, of shape"

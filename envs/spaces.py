@@ -57,7 +57,8 @@ class CarStates(ObservationType):
         """
         xp = states.__array_namespace__()
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
-        cosine, sine = xp.cos(heading), xp.sin(heading)
+        cosine = xp.cos(heading)
+        sine = xp.sin(heading)
         is_other = np.arange(states.shape[-2]) > 0
         parts = [
             part - is_other * part[..., :1]
@@ -120,7 +121,8 @@ def cone_distances(scene: Scene, states: State) -> Any:
     """Return the distance from every car's front to the first cone ahead in its lane,
     infinite without one [m].
     """
-    xp, cones = states.__array_namespace__(), np.asarray(scene.obstacles, dtype=float)
+    xp = states.__array_namespace__()
+    cones = np.asarray(scene.obstacles, dtype=float)
     ahead = cones[:, 0] - states[..., 0, None]
     aside = xp.abs(cones[:, 1] - states[..., 1, None])
     counts = (ahead > 0) & (aside < float(scene.lane_width) / 2)
@@ -210,7 +212,8 @@ def limit_speed(
     This changes the object instead of its class, as highway-env's keyboard drives no
     subclass.
     """
-    kind.speed_range, kind.get_action = speed_range, partial(_limited_action, kind)
+    kind.speed_range = speed_range
+    kind.get_action = partial(_limited_action, kind)
 
 
 def _limited_action(
@@ -234,7 +237,8 @@ def _within_speeds(
     """Limit accelerations that would leave the range of speeds within a step [m/s^2]."""
     if kind.speed_range is None:
         return acceleration
-    xp, frequency = speed.__array_namespace__(), kind.env.config["simulation_frequency"]
+    xp = speed.__array_namespace__()
+    frequency = kind.env.config["simulation_frequency"]
     least, most = ((end - speed) * frequency for end in kind.speed_range)
     return xp.clip(
         acceleration,
@@ -249,7 +253,8 @@ def executed_controls(
     """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for
     actions [..., 2].
     """
-    xp, speed = cars.__array_namespace__(), cars[..., 3]
+    xp = cars.__array_namespace__()
+    speed = cars[..., 3]
     shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
     (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
     acceleration = slowest + shares[..., 0] * (fastest - slowest)
@@ -282,7 +287,8 @@ class HumanModelAction(Autopilot):
 
     def space(self) -> spaces.Space:
         """Return the space."""
-        rungs, humans = len(self.env.settings.models), self.env.settings.humans
+        rungs = len(self.env.settings.models)
+        humans = self.env.settings.humans
         return (
             spaces.Discrete(rungs)
             if humans == 1

@@ -96,18 +96,18 @@ class InteractionVectorEnv(VectorEnv):
                 f"autoreset_mode is {autoreset_mode!r}; give one of {names}"
             )
         self._functions = functions = FunctionalEnv(environment, config)
-        self.num_envs, self.autoreset_mode = int(num_envs), mode
+        self.num_envs = int(num_envs)
+        self.autoreset_mode = mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
-        self.single_observation_space, self.single_action_space = (
-            functions.observation_space,
-            functions.action_space,
-        )
+        self.single_observation_space = functions.observation_space
+        self.single_action_space = functions.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.episode_steps = functions.steps
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
         self._state: Any = None  # before the first reset, then an `EnvState`
-        self._ended, self._collided = np.ones(num_envs, bool), np.zeros(num_envs, bool)
+        self._ended = np.ones(num_envs, bool)
+        self._collided = np.zeros(num_envs, bool)
         self._groups = min(cores(), ceil(num_envs / functions.loop.together))
         self._threads = ThreadPoolExecutor(self._groups)
 
@@ -190,7 +190,8 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(
                 f"environments must be reset before they can step: {places}"
             )
-        actions, space = np.asarray(actions), self.action_space
+        actions = np.asarray(actions)
+        space = self.action_space
         possible = (
             actions.shape == space.shape
             and actions.dtype.kind in "biuf"
@@ -205,22 +206,19 @@ class InteractionVectorEnv(VectorEnv):
             raise ValueError(
                 f"the actions {actions!r} are impossible; give some of {space}"
             )
-        stepped, records = ~self._ended, self._advance(actions)
+        stepped = ~self._ended
+        records = self._advance(actions)
         self._collided |= records.collision
         seen, rewards, terminated, truncated = self._functions.outcome(
             records, self._state.step
         )
         rewards = np.where(stepped, rewards, 0.0).astype(np.float64)
-        terminated, truncated, values = (
-            terminated & stepped,
-            truncated & stepped,
-            self._info(records),
-        )
-        self._ended, info, renewed = (
-            terminated | truncated,
-            _masked(values, stepped),
-            ~stepped,
-        )
+        terminated = terminated & stepped
+        truncated = truncated & stepped
+        values = self._info(records)
+        self._ended = terminated | truncated
+        info = _masked(values, stepped)
+        renewed = ~stepped
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             renewed = self._ended.copy()
             final = np.full(self.num_envs, None, dtype=object)
@@ -244,7 +242,8 @@ class InteractionVectorEnv(VectorEnv):
         episodes = stack_episodes(
             [functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)]
         )
-        number, starts = len(episodes), episodes.starts
+        number = len(episodes)
+        starts = episodes.starts
         filled = np.resize(
             starts, (self.num_envs, *starts.shape[1:])
         )  # so that one program serves any number
@@ -268,7 +267,9 @@ class InteractionVectorEnv(VectorEnv):
         humans uses. The last chunks are filled up with copies of the first
         environments.
         """
-        functions, loop, state = self._functions, self._functions.loop, self._state
+        functions = self._functions
+        loop = self._functions.loop
+        state = self._state
         given = functions.given(state, actions)
         everything = replace(state.episodes, schedules=None), state.now, given
         order = np.argsort(given.scheduled.max(axis=1), kind="stable")
@@ -294,7 +295,8 @@ class InteractionVectorEnv(VectorEnv):
 
     def _info(self, records: Records) -> dict[str, Any]:
         """Return the values of ``info`` after a step."""
-        functions, loop = self._functions, self._functions.loop
+        functions = self._functions
+        loop = self._functions.loop
         info: dict[str, Any] = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])

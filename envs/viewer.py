@@ -39,8 +39,13 @@ MODEL_MEANINGS = {
     "turn": "the human minds only itself",
     "tom": "the human responds to the robot",
 }
-INK, FAINT, PAPER, CONE = (32, 36, 44), (125, 130, 140), (250, 250, 247), (255, 120, 20)
-GRID, GROUND, ASPHALT = (215, 218, 224), (205, 218, 195), (96, 100, 106)
+INK = (32, 36, 44)
+FAINT = (125, 130, 140)
+PAPER = (250, 250, 247)
+CONE = (255, 120, 20)
+GRID = (215, 218, 224)
+GROUND = (205, 218, 195)
+ASPHALT = (96, 100, 106)
 FONT = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
 
 
@@ -112,7 +117,8 @@ def enable_pictures(env: Any) -> bool:
     """Give each image observation of an environment a `PictureViewer`; return whether
     one has drawn black so far.
     """
-    kind, black = env.observation_type, False
+    kind = env.observation_type
+    black = False
     parts = getattr(kind, "observation_types", None) or getattr(
         kind, "agents_observation_types", [kind]
     )
@@ -131,20 +137,16 @@ class Viewer(EnvViewer):
     """
 
     # attributes that only `EnvViewer.__init__` sets
-    observer_vehicle, agent_surface, vehicle_trajectory, directory, frame = (
-        None,
-        None,
-        None,
-        None,
-        0,
-    )
+    observer_vehicle = None
+    agent_surface = None
+    vehicle_trajectory = None
+    directory = None
+    frame = 0
 
     def __init__(self, env: Any) -> None:
-        self.env, self.config, self.offscreen = (
-            env,
-            env.config,
-            env.config["offscreen_rendering"],
-        )
+        self.env = env
+        self.config = env.config
+        self.offscreen = env.config["offscreen_rendering"]
         if not self.offscreen:
             try:
                 super().__init__(env)

@@ -33,17 +33,17 @@ from ms_highway.runtime import process
 
 process.watch()  # first of all, as what follows takes seconds
 
-import warnings as _warnings
-from importlib.metadata import version
-from importlib.util import find_spec as _find_spec
-from pathlib import Path as _Path
+import warnings as _warnings  # noqa: E402
+from importlib.metadata import version  # noqa: E402
+from importlib.util import find_spec as _find_spec  # noqa: E402
+from pathlib import Path as _Path  # noqa: E402
 
-import lazy_loader
-from gymnasium.envs.registration import register as _register_environment
-from gymnasium.envs.registration import registry as _registry
+import lazy_loader  # noqa: E402
+from gymnasium.envs.registration import register as _register_environment  # noqa: E402
+from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
-from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES
-from ms_highway.runtime.names import versioned as _versioned
+from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES  # noqa: E402
+from ms_highway.runtime.names import versioned as _versioned  # noqa: E402
 
 if getattr(_find_spec("pygame"), "origin", None) is None:
     raise ImportError(
@@ -51,7 +51,7 @@ if getattr(_find_spec("pygame"), "origin", None) is None:
         " breaks the other; run `pip install --force-reinstall pygame-ce`"
     )
 if not process.is_command():  # which loads it when it needs it
-    import highway_env  # whose own environments are expected beside ours
+    import highway_env  # whose own environments are expected beside ours  # noqa: F401
 
 _directory = _Path(__file__).parent
 if not (

@@ -248,7 +248,8 @@ def configuration_keys() -> list[str]:
 
 
 def configuration_rows() -> list[str]:
-    told, base = meanings(), ENVIRONMENTS["merger-v1"].default_config()
+    told = meanings()
+    base = ENVIRONMENTS["merger-v1"].default_config()
     rows = ["| key | default of Merger v1 | what it says |", "| --- | --- | --- |"]
     return rows + [
         f"| `{key}` | `{base[key]!r}` | {told[key].replace('|', '/')} |"

@@ -226,7 +226,8 @@ def played() -> Callable[..., tuple[Game, jax.Array]]:
             start[1] - [30.0 * (1 + place), 0, 0, 0] for place in range(followers)
         ]
         if behind:
-            start, leader = np.insert(start, 2, behind, axis=0), game.scene.leader
+            start = np.insert(start, 2, behind, axis=0)
+            leader = game.scene.leader
             game = replace(
                 game, scene=replace(game.scene, leader=leader and leader + followers)
             )

@@ -99,7 +99,8 @@ def drive(driver, start, steps, humans=None):
     """
     game = driver.game
     humans = humans or [fixed(swap_roles(game, human)) for human in range(game.number)]
-    states, driven = [np.asarray(start, float)], []
+    states = [np.asarray(start, float)]
+    driven = []
     for _ in range(steps):
         now = states[-1]
         driven.append(driver.step(now))
@@ -116,8 +117,10 @@ def drive(driver, start, steps, humans=None):
 
 def episodes_of(loop, starts, steps=5, schedule=DECIDES, drivers=HUMAN_PLANS):
     """Return episodes of a game from some starts; arguments for one episode serve all."""
-    number, humans = len(starts), loop.game.number
-    robot, others = loop.game.robot.weights, loop.game.humans.weights
+    number = len(starts)
+    humans = loop.game.number
+    robot = loop.game.robot.weights
+    others = loop.game.humans.weights
     return Episodes(
         np.asarray(starts, np.float32),
         np.full(number, 0.1, np.float32),

@@ -58,7 +58,10 @@ def drive(
     env: gym.Env, seed: int = 0, starts: Any = None, steps: int | None = None
 ) -> Episode:
     env.reset(seed=seed, options=None if starts is None else {"initial_states": starts})
-    states, rewards, infos, done = [env.unwrapped.car_states], [], [], False
+    states = [env.unwrapped.car_states]
+    rewards = []
+    infos = []
+    done = False
     while not done and len(infos) != steps:
         _, reward, terminated, truncated, info = env.step(0)
         done = terminated or truncated

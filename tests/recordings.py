@@ -42,10 +42,12 @@ def bend(radius, side, angle, before=60.0, after=30.0):
     arc = [before, 0.0] + radius * np.stack(
         [np.sin(turned), 1 - np.cos(turned)], axis=-1
     )
-    first, last = np.arange(0.0, before, step), np.arange(step, after, step)
+    first = np.arange(0.0, before, step)
+    last = np.arange(step, after, step)
     out = arc[-1] + last[:, None] * [np.cos(angle), np.sin(angle)]
     along, left = np.concatenate([np.stack([first, 0 * first], axis=-1), arc, out]).T
-    cosine, sine = np.cos(TURN), np.sin(TURN)
+    cosine = np.cos(TURN)
+    sine = np.sin(TURN)
     return np.stack(
         [along * cosine - side * left * sine, along * sine + side * left * cosine],
         axis=-1,
@@ -79,7 +81,8 @@ def place(along, right):
     """A point of the map: a distance along the road, and a distance to the right of the
     left lane's centre.
     """
-    cosine, sine = np.cos(TURN), np.sin(TURN)
+    cosine = np.cos(TURN)
+    sine = np.sin(TURN)
     return along * cosine + right * sine, along * sine - right * cosine
 
 

@@ -12,7 +12,8 @@ from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
 from ms_highway.road.simulation import advance, bodies
 from ms_highway.runtime.compilation import jit_quickly
 
-PLANNING, WEIGHTS = RoadPlanning(), RoadWeights()
+PLANNING = RoadPlanning()
+WEIGHTS = RoadWeights()
 ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 

@@ -35,7 +35,8 @@ def live_speed(comparison: Comparison, scenario: str, controller: str) -> dict:
     start = end = perf_counter()
     for seed in range(1, 1 + EPISODES):
         for record in episode(env, seed):
-            begun, end = end, perf_counter()
+            begun = end
+            end = perf_counter()
             cars = (env.unwrapped.robot, *env.unwrapped.humans)
             plans = sum(car.last_step.planning_seconds for car in cars if car.last_step)
             rest = end - begun - plans - record["decision_seconds"]
@@ -82,7 +83,8 @@ def batch_speed(
     )
     keys = batch.keys()
     first = timed(batch.simulate, keys[: batch.loop.together * len(used)], used)[1]
-    rates, memory = {}, {}
+    rates = {}
+    memory = {}
     for size in sizes:
         times: list[float] = []
         while not times or (len(times) < RUNS and sum(times) < SECONDS):

@@ -239,7 +239,8 @@ class Values:
             raise ValueError("the networks have the inputs of another version")
         layers = [part for layer in self.network for part in layer]
         shapes = [np.shape(part) for part in layers]
-        networks, sizes = shapes[0][:1] if shapes else (), [len(self.inputs)]
+        networks = shapes[0][:1] if shapes else ()
+        sizes = [len(self.inputs)]
         sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
         wanted = [
             networks + shape
@@ -379,11 +380,9 @@ def _read(path: Path, content: str) -> Values:
         numbers = read_only(
             {name: array.astype(np.float32) for name, array in arrays.items()}
         )  # as all share them
-    centre, spread, layers = (
-        numbers.pop("centre"),
-        numbers.pop("spread"),
-        range(len(numbers) // 2),
-    )
+    centre = numbers.pop("centre")
+    spread = numbers.pop("spread")
+    layers = range(len(numbers) // 2)
     network = tuple(
         (numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers
     )

@@ -348,11 +348,12 @@ def change_of_control(
     n = len(surprise)
     both = jnp.concatenate([jnp.eye(n), influence])
     slope = expansion.gradient + expansion.hessian[:, n:] @ surprise
-    quadratic, linear = both.T @ expansion.hessian @ both, both.T @ slope
+    quadratic = both.T @ expansion.hessian @ both
+    linear = both.T @ slope
     return trust_region_step(quadratic, linear, how.trust_radius, how.trust_tolerance)
 
 
-def Switching(
+def Switching(  # noqa: N802
     costs: Costs,
     price: Scalar,
     ladder: tuple[HumanModel, ...],

@@ -70,7 +70,8 @@ def describe(
 
     def gaps(car: Index) -> Float[jax.Array, "6"]:
         others = state[jnp.asarray(others_of(len(state)))[car]]
-        present, width = jnp.ones(len(others), bool), jnp.asarray(game.scene.lane_width)
+        present = jnp.ones(len(others), bool)
+        width = jnp.asarray(game.scene.lane_width)
         return jnp.log1p(
             headways(state[car], neighbours(state[car], others, present, width), length)
         )
@@ -93,10 +94,8 @@ def nearness(game: Game, state: State) -> Rungs:
 
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
-    unit, limit = (
-        jnp.asarray(game.scene.length_unit),
-        jnp.asarray(game.robot.speed_limit),
-    )
+    unit = jnp.asarray(game.scene.length_unit)
+    limit = jnp.asarray(game.robot.speed_limit)
     _, y, turned, speed = jnp.moveaxis(state, -1, 0)
     heading = without_turns(turned)
     none = jnp.zeros_like(speed)
@@ -128,10 +127,8 @@ def _terms(
     weighted, pull = jax.vjp(
         lambda states: features(game.scene, driver, states) * driver.weights, states
     )
-    papers, other = (
-        weighted[:, : len(PAPER_FEATURES)],
-        weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True),
-    )
+    papers = weighted[:, : len(PAPER_FEATURES)]
+    other = weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
     slopes = pull(jnp.ones_like(weighted))[0][:, :2]
     unit = jnp.asarray(game.scene.length_unit)
     slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])

@@ -83,7 +83,8 @@ def bench(options: argparse.Namespace) -> None:
     )
     from ms_highway.visualization.tables import speed_table
 
-    asked, devices = comparison(options), options.devices
+    asked = comparison(options)
+    devices = options.devices
     measures: list[tuple[Callable, Callable]] = [
         (partial(low_latency_on_core, 0), live_speed)
     ]
@@ -220,10 +221,8 @@ def bench_road(options: argparse.Namespace) -> None:
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import driver_table
 
-    scenes, drivers = (
-        known_scenes(options.scenes or SCENES),
-        list(dict.fromkeys(options.drivers)),
-    )
+    scenes = known_scenes(options.scenes or SCENES)
+    drivers = list(dict.fromkeys(options.drivers))
     for driver in drivers:
         check_driver(driver)
     recorded = RECORDED in scenes

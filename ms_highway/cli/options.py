@@ -196,7 +196,8 @@ def comparison(
     from ms_highway.experiments.comparison import Comparison
     from ms_highway.planning.ladders import rung_names
 
-    config, controllers = configuration(options), {}
+    config = configuration(options)
+    controllers = {}
     for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
         scenario = ENVIRONMENTS[name].scenario
         given = list(options.controllers or ["switching"])

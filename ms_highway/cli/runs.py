@@ -98,10 +98,8 @@ def compare(options: argparse.Namespace) -> None:
     if not options.controllers:
         asked = _with_learned(asked)
     with ResultsDirectory(options.out).owned() as directory:
-        counts, wanted = (
-            run(asked, options.out, 2, options.modules),
-            len(list(asked.episodes())),
-        )
+        counts = run(asked, options.out, 2, options.modules)
+        wanted = len(list(asked.episodes()))
         already = next(counts)
         record(directory, options, computes=already < wanted)
         if already < wanted:
@@ -220,9 +218,10 @@ def sweep(options: argparse.Namespace) -> None:
             "--devices compute on this machine, and --scheduler on others; leave"
             " one out"
         )
-    asked, out = comparison(options), options.out
+    asked = comparison(options)
+    out = options.out
     with needing("sweep"):
-        import pyarrow  # writes the parts
+        import pyarrow  # writes the parts  # noqa: F401
 
         if options.scheduler:
             from ms_highway.experiments.cluster import connected
@@ -235,10 +234,8 @@ def sweep(options: argparse.Namespace) -> None:
             partial(simulate_parts, devices=use_devices(options.devices))
         )
     with ResultsDirectory(out).owned() as directory, computing as compute:
-        counts, wanted = (
-            run_batched(asked, out, options.part, options.steps, compute),
-            len(list(asked.episodes())),
-        )
+        counts = run_batched(asked, out, options.part, options.steps, compute)
+        wanted = len(list(asked.episodes()))
         already = next(counts)
         record(directory, options, computes=already < wanted)
         count_episodes(counts, already, wanted)

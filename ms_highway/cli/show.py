@@ -286,11 +286,9 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import regret_tables
 
     options.lambdas = options.lambdas or [LAMBDAS]
-    asked, devices, out = (
-        comparison(options, ["switching"], options.prices),
-        use_devices(options.devices),
-        options.out,
-    )
+    asked = comparison(options, ["switching"], options.prices)
+    devices = use_devices(options.devices)
+    out = options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
     for name, batch in batches.items():
         if unknown := [
@@ -303,7 +301,9 @@ def frontier(options: argparse.Namespace) -> None:
             raise ValueError(
                 f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}"
             )
-    seeds, orders, behind = asked.seed_range, pd.DataFrame(), pd.DataFrame()
+    seeds = asked.seed_range
+    orders = pd.DataFrame()
+    behind = pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
         settings = directory.take_up(asked.common_config(), asked.sources())
         every = {
@@ -419,7 +419,8 @@ def learn(options: argparse.Namespace) -> None:
     learning, batches = prepare(
         asked, options.rounds, options.states, options.horizon, options.seed
     )
-    values, kept = None, options.out.with_name(f"{options.out.name}.rollouts")
+    values = None
+    kept = options.out.with_name(f"{options.out.name}.rollouts")
     tell(f"{next(iter(asked.controllers))}: compiling")
     for done, fitted in learn(learning, batches, kept, use_devices(options.devices)):
         tell(done)

@@ -128,7 +128,8 @@ class Batch:
             ValueError: if its values were learned on another ladder, or JAX cannot
                 compile for its rule.
         """
-        settings, rule = self.settings(controller), self.loop.rule
+        settings = self.settings(controller)
+        rule = self.loop.rule
         if settings.chooses:
             start = self.environment.settings.start(
                 self.steps, np.random.default_rng(), self.costs
@@ -153,10 +154,8 @@ class Batch:
         names, seeds = zip(*keys, strict=True)
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
-        states, gains = (
-            np.asarray(records.states, float),
-            highest_gains(np.asarray(records.gains)),
-        )
+        states = np.asarray(records.states, float)
+        gains = highest_gains(np.asarray(records.gains))
         arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
         cells = {
             "scenario": self.environment.scenario.name,

@@ -157,10 +157,8 @@ def _compute(
         ValueError: if workers die again and again, or the scheduler is lost.
     """
     compute = partial(_compute_there, comparison)
-    waiting, running = (
-        iter(parts.items()),
-        distributed.as_completed([], loop=client.loop),
-    )
+    waiting = iter(parts.items())
+    running = distributed.as_completed([], loop=client.loop)
 
     def submit(count: int) -> None:
         for name, part in islice(waiting, count):

@@ -30,7 +30,8 @@ from ms_highway.runtime.files import (
 from ms_highway.runtime.jax_settings import cores
 from ms_highway.runtime.sources import Sources, digest, package_digest
 
-SETTINGS_FILE, PROVENANCE_FILE = "settings.json", "provenance.json"
+SETTINGS_FILE = "settings.json"
+PROVENANCE_FILE = "provenance.json"
 REMEDY = "choose another directory with --out"
 
 Count = Annotated[int, Meta(ge=0)]

@@ -60,7 +60,9 @@ class Outcomes:
         Raises:
             ValueError: if the file exists and holds something else.
         """
-        self.batch, self._file, self._devices = batch, file, devices
+        self.batch = batch
+        self._file = file
+        self._devices = devices
         self.table = pd.DataFrame(columns=[*INDEX, *KEPT_COLUMNS]).set_index(INDEX)
         if file.exists():
             with reading(file, "remove it or choose another directory"):
@@ -138,7 +140,8 @@ def search(
         The number of each finished round, from 1; a last number after the starts have
         tried each other's best orders.
     """
-    random, batch = np.random.default_rng(0), outcomes.batch
+    random = np.random.default_rng(0)
+    batch = outcomes.batch
     rungs = range(len(batch.rungs))
     steps = np.arange(batch.steps)
     ends = np.unique(np.round(np.geomspace(1, batch.steps, SWITCHES)).astype(int))
@@ -167,7 +170,8 @@ def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
     new = order.copy()
     steps = len(order)
     for _ in range(random.integers(1, 3)):
-        start, length = random.integers(steps), random.geometric(1 / MEAN_STRETCH)
+        start = random.integers(steps)
+        length = random.geometric(1 / MEAN_STRETCH)
         new[start : start + length] = random.integers(rungs)
     return new
 

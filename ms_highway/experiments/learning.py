@@ -116,9 +116,11 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
     """Fit values to the rollouts of ``number`` rounds; without rollouts, return values
     that mean nothing.
     """
-    random, names = _stream(how, number, FIT), description_names()
+    random = _stream(how, number, FIT)
+    names = description_names()
     network = new_network(random, len(names), len(how.costs) - 1)
-    centre, spread = np.zeros(len(names)), np.ones(len(names))
+    centre = np.zeros(len(names))
+    spread = np.ones(len(names))
     if done:
         rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
         centre = rollouts.descriptions.mean(axis=0)
@@ -171,7 +173,8 @@ def learn(
     Raises:
         ValueError: if the directory exists and holds something else.
     """
-    names, games = [batch.environment.scenario.name for batch in batches], []
+    names = [batch.environment.scenario.name for batch in batches]
+    games = []
     for name, batch in zip(names, batches, strict=True):
         numbers = [
             np.asarray(leaf, np.float32).tobytes()
@@ -183,7 +186,8 @@ def learn(
         {**asdict(learning), "games": games}, batches[0].comparison.sources()
     )
     results.write_settings(settings)
-    values, done = fitted(learning, [], 0), list[Rollouts]()
+    values = fitted(learning, [], 0)
+    done = list[Rollouts]()
     for number in range(1, learning.rounds + 1):
         for place, batch in enumerate(batches):
             file = kept / f"{number}-{place}.npz"

@@ -137,7 +137,8 @@ class Driving:
         Each order has frequencies of rungs of its own. Several humans change their
         rungs in the same steps, each to a rung of its own.
         """
-        rungs, steps = len(self.batch.rungs), self.batch.steps
+        rungs = len(self.batch.rungs)
+        steps = self.batch.steps
         orders = np.zeros((count, steps, self.batch.humans), np.int32)
         for order, share in zip(
             orders, random.dirichlet(np.ones(rungs), count), strict=True
@@ -162,7 +163,8 @@ class Driving:
                 the rule's choice.
             prices: lambdas [episodes], or one for all.
         """
-        loop, horizon = replace(self.batch.loop, rule=self.rule), self.how.horizon
+        loop = replace(self.batch.loop, rule=self.rule)
+        horizon = self.how.horizon
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
@@ -195,7 +197,9 @@ class Driving:
         before the first fit, naive predicts all.
         """
         states, weights = self._visited(random, count)
-        game, humans, how = self.batch.loop.game, self.batch.humans, self.how
+        game = self.batch.loop.game
+        humans = self.batch.humans
+        how = self.how
         own = [list(how.costs).index(name) for name in self.batch.rungs]
         held = min(how.held, how.horizon)
         ranks = np.asarray(_rank(game, states))
@@ -245,11 +249,9 @@ class Driving:
         drives and is not in its lane yet are drawn more often, as predictions hardly
         matter in the others.
         """
-        steps, game, each = (
-            self.batch.steps,
-            self.batch.loop.game,
-            self.how.states_of_an_episode,
-        )
+        steps = self.batch.steps
+        game = self.batch.loop.game
+        each = self.how.states_of_an_episode
         number = ceil(count / each)
         starts, weights = self.starts(random, number)
         orders = self.orders(random, number)
@@ -262,7 +264,8 @@ class Driving:
         after = self.drive(starts, weights, orders, prices).states
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
-        states, weights = states[finite], weights[finite]
+        states = states[finite]
+        weights = weights[finite]
         away = (
             np.abs(states[:, :, 0, 1] - float(game.scene.target_lane))
             > float(game.scene.lane_width) / 2

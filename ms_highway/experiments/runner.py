@@ -44,8 +44,10 @@ from ms_highway.runtime.files import reading, whole_lines
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 from ms_highway.runtime.sources import Sources, late_sources
 
-STEPS_FILE, PARTS = "steps.csv", "parts"
-EPISODES, STEPS = "episodes", "steps"
+STEPS_FILE = "steps.csv"
+PARTS = "parts"
+EPISODES = "episodes"
+STEPS = "steps"
 REMEDY = "remove it, to have it computed again"
 MIN_EPISODES = (
     60  # with fewer, further processes take more time to start than they save

@@ -61,10 +61,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     Raises:
         ValueError: for an unknown controller.
     """
-    table, by = (
-        per_episode(records) if "step" in records else records,
-        ["scenario", "controller"],
-    )
+    table = per_episode(records) if "step" in records else records
+    by = ["scenario", "controller"]
     shares = [
         f"{what}_{name}"
         for what in ("share", "humans")
@@ -73,7 +71,8 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     shares += [name for name in ("success", "late", "way_out") if name in table]
     rows = []
     for (scenario, controller), some in table.groupby(by, sort=False):
-        config, rewards = controller_config(controller), some["reward"]
+        config = controller_config(controller)
+        rewards = some["reward"]
         low, high = interval(rewards)
         row = {"scenario": scenario, "controller": controller}
         row |= {
@@ -170,10 +169,12 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
         scenario: name of the scenario.
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
-    reward, counted = rows["reward"], rows["counted_ms"].fillna(float("inf"))
+    reward = rows["reward"]
+    counted = rows["counted_ms"].fillna(float("inf"))
     models = rows.query("kind == 'fixed'").index
     models = rows.index if models.empty else models
-    best, cheapest = str(reward[models].idxmax()), str(counted[models].idxmin())
+    best = str(reward[models].idxmax())
+    cheapest = str(counted[models].idxmin())
     driven = records.query("scenario == @scenario").pivot_table(
         "reward", "seed", "controller"
     )
@@ -191,7 +192,8 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
             f"That is {gains.mean():.2f} more than {cheapest} ({sure}){chance}."
         )
     for name in choosing_controllers(summaries, scenario):
-        text, effort = f"{name} earns {reward[name]:.2f}", counted[name] / counted[best]
+        text = f"{name} earns {reward[name]:.2f}"
+        effort = counted[name] / counted[best]
         if low > 0:
             text += (
                 " and keeps"

@@ -78,8 +78,10 @@ def validate_file(file: Path) -> dict:
     """
     scenario, episodes = read_episodes(file)
     game = build_game(scenario, "released", unit=1.0)
-    states, models = episodes["states"].astype(np.float32), episodes["models"]
-    robot, human = episodes["robot_controls"], episodes["human_controls"]
+    states = episodes["states"].astype(np.float32)
+    models = episodes["models"]
+    robot = episodes["robot_controls"]
+    human = episodes["human_controls"]
     planned = np.empty(robot.shape)
     for index in np.unique(models):
         planned[models == index] = _first_controls(

@@ -44,7 +44,9 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     """Return the other cars, arrays [others, *times], and the obstacles, which are
     parallel to x.
     """
-    cars, obstacles, times = len(others.x), len(scene.obstacles), others.x.shape[1:]
+    cars = len(others.x)
+    obstacles = len(scene.obstacles)
+    times = others.x.shape[1:]
     numbers = jnp.stack([*jnp.asarray(scene.car_size), 1.0, CAR_SHARPNESS])
     if not obstacles:
         return Bodies(others, *numbers)

@@ -106,7 +106,8 @@ def step(
         x += d cos(heading);  y += d sin(heading);  heading += yaw_rate dt;  v += a' dt
     """
     xp = state.__array_namespace__()
-    heading, speed = state[..., 2], state[..., 3]
+    heading = state[..., 2]
+    speed = state[..., 3]
     yaw_rate = (
         speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
     )
@@ -153,7 +154,8 @@ def rollout(
         state[..., 2],
         (before * omega if dynamics.steering == "curvature" else omega) * dt,
     )
-    cosine, sine = jnp.cos(heading), jnp.sin(heading)
+    cosine = jnp.cos(heading)
+    sine = jnp.sin(heading)
     distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
     x = _accumulate(state[..., 0], distance * cosine[..., :-1])
     y = _accumulate(state[..., 1], distance * sine[..., :-1])
@@ -178,16 +180,15 @@ def rollout_jacobian(
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a
     `rollout`.
     """
-    dt, steps, curved = (
-        dynamics.time_step,
-        len(controls),
-        dynamics.steering == "curvature",
-    )
+    dt = dynamics.time_step
+    steps = len(controls)
+    curved = dynamics.steering == "curvature"
     omega, acceleration = controls.T
     own_controls = np.eye(2 * steps, dtype=np.float32).reshape(
         steps, 2, 2 * steps
     )  # of each step
-    of_omega, of_acceleration = own_controls[:, 0], own_controls[:, 1]
+    of_omega = own_controls[:, 0]
+    of_acceleration = own_controls[:, 1]
     earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)
@@ -195,7 +196,8 @@ def rollout_jacobian(
     faster = jnp.stack(
         [jnp.zeros_like(per_acceleration), per_acceleration], axis=-1
     ).reshape(1 + steps, -1)
-    before, faster_before = speed[:-1], faster[:-1]
+    before = speed[:-1]
+    faster_before = faster[:-1]
     heading = _accumulate(car[2], (before * omega if curved else omega) * dt)
     yaw = (
         before[:, None] * of_omega + omega[:, None] * faster_before
@@ -207,7 +209,8 @@ def rollout_jacobian(
     farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (
         dt**2 / 2
     )
-    cosine, sine = jnp.cos(heading)[:, None], jnp.sin(heading)[:, None]
+    cosine = jnp.cos(heading)[:, None]
+    sine = jnp.sin(heading)[:, None]
     turning = distance[:, None] * turned[:-1]
     x = earlier @ (cosine[:-1] * farther - sine[:-1] * turning)
     y = earlier @ (sine[:-1] * farther + cosine[:-1] * turning)
@@ -276,10 +279,8 @@ def within_grip(
     turn = bend if dynamics.steering == "curvature" else bend * speed
     per_omega = speed**2 if dynamics.steering == "curvature" else speed
     friction = _resistance(dynamics, speed)
-    omega, acceleration = (
-        control[..., 0] + turn,
-        xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step),
-    )
+    omega = control[..., 0] + turn
+    acceleration = xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
     total = xp.hypot(per_omega * omega, acceleration)
     share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
     return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)

@@ -281,10 +281,8 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
     attention to them, see `_traffic`.
     """
     per_unit = 1 / scene.length_unit
-    along, across = (
-        (others.x - own.x) * per_unit,
-        (others.y - own.y) / (LANE_SPREAD * scene.lane_width),
-    )
+    along = (others.x - own.x) * per_unit
+    across = (others.y - own.y) / (LANE_SPREAD * scene.lane_width)
     gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
     return along, gap, jnp.exp(-gap / ATTENTION_GAP - across**2 / 2)
 
@@ -302,7 +300,8 @@ def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:
         else jnp.abs(car.sine)
     )
     reach = (length * slant + width * jnp.abs(car.cosine)) / 2
-    low, high = jnp.min(jnp.asarray(scene.lanes)), jnp.max(jnp.asarray(scene.lanes))
+    low = jnp.min(jnp.asarray(scene.lanes))
+    high = jnp.max(jnp.asarray(scene.lanes))
     depth = (
         jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
     )
@@ -328,7 +327,8 @@ def _merging(
     The indicator is 1 where ``y + width / 2 sin(heading)`` is beyond the lane's inner
     edge, else 0; its smooth form is a sigmoid of the depth beyond the edge.
     """
-    y, sine = jnp.stack([own.y, others.y[0]]), jnp.stack([own.sine, others.sine[0]])
+    y = jnp.stack([own.y, others.y[0]])
+    sine = jnp.stack([own.sine, others.sine[0]])
     side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)
     aside = y - scene.target_lane
     depth = side * (aside + scene.car_size[1] / 2 * sine) + scene.lane_width / 2

@@ -114,7 +114,8 @@ class Game:
         Raises:
             ValueError: if they compute different features.
         """
-        robot, human = self.robot, self.human()
+        robot = self.robot
+        human = self.human()
         if (robot.names, robot.own) != (human.names, human.own):
             both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
             raise ValueError(

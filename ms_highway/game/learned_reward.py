@@ -90,10 +90,8 @@ class LearnedReward(Structure):
                 if name not in self.learned
             },
         )
-        covariance, size = (
-            np.array(self.covariance, dtype=float),
-            len(self.learned) + 1 + (self.tails is not None),
-        )
+        covariance = np.array(self.covariance, dtype=float)
+        size = len(self.learned) + 1 + (self.tails is not None)
         if (
             covariance.shape != (size, size)
             or not np.isfinite(covariance).all()

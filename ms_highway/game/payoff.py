@@ -222,12 +222,10 @@ class Payoff:
         """Return quantities whose squares are, up to constants, the costs of features
         of the road and of traffic.
         """
-        scene, reward, own, per_unit = (
-            self.scene,
-            self.reward,
-            Motion(*path),
-            1 / self.scene.length_unit,
-        )
+        scene = self.scene
+        reward = self.reward
+        own = Motion(*path)
+        per_unit = 1 / self.scene.length_unit
         weights = dict(zip(reward.names, jnp.unstack(reward.weights), strict=True))
         costs = [
             (weights["speed"], own.speed * own.cosine / reward.speed_limit),
@@ -270,7 +268,8 @@ class Payoff:
         along and across it, and D.
         """
         other = Motion(*(part[:, None] for part in bodies.motion))
-        dx, dy = points[0] - other.x, points[1] - other.y
+        dx = points[0] - other.x
+        dy = points[1] - other.y
         ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
         across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
         distance = ahead**2 + across**2 - 1

@@ -169,10 +169,8 @@ class Scenario:
                     " name of a feature"
                 )
             object.__setattr__(self, name, Published(weights))
-        place, remedy = (
-            f"scenario {self.name!r}",
-            "all numbers are in metres, y to the right",
-        )
+        place = f"scenario {self.name!r}"
+        remedy = "all numbers are in metres, y to the right"
         fewest, most = HUMANS if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
             why = (

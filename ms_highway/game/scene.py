@@ -110,7 +110,8 @@ class Scene:
         if self.contact not in get_args(Contact):
             known = ", ".join(get_args(Contact))
             raise ValueError(f"Scene.contact is {self.contact!r}; give one of {known}")
-        size, width = self.car_size, self.lane_width
+        size = self.car_size
+        width = self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
             raise ValueError(
                 f"Scene.car_size is {size.tolist()}; give length and width in metres,"

@@ -104,7 +104,8 @@ def draw_episode(
     if not scenario.streams:
         return draw_starts(scenario, random), weights
     robot = np.array([*scenario.cars[0], 0.0, SPEED_LIMIT])
-    number, lanes = len(weights), len(scenario.streams)
+    number = len(weights)
+    lanes = len(scenario.streams)
     dealt = [len(range(place, number, lanes)) for place in range(lanes)]
     streams = [
         _stream(stream, each, random)

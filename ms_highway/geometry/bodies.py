@@ -138,17 +138,15 @@ def point_offsets(
         other: motion of the other bodies, arrays [bodies, *times].
     """
     other_x, other_y, other_cosine, other_sine = other
-    xp, times = namespace(*own, *other), np.ndim(other_x) - 1
+    xp = namespace(*own, *other)
+    times = np.ndim(other_x) - 1
     x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
-    dx, dy = x - other_x, y - other_y
-    ahead, across = (
-        other_cosine * dx + other_sine * dy,
-        other_cosine * dy - other_sine * dx,
-    )
-    turned, slant = (
-        other_cosine * cosine + other_sine * sine,
-        other_cosine * sine - other_sine * cosine,
-    )
+    dx = x - other_x
+    dy = y - other_y
+    ahead = other_cosine * dx + other_sine * dy
+    across = other_cosine * dy - other_sine * dx
+    turned = other_cosine * cosine + other_sine * sine
+    slant = other_cosine * sine - other_sine * cosine
     shape = len(dx), len(points), *dx.shape[1:]
     ahead, across, turned, slant = (
         xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant)

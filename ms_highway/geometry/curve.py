@@ -79,7 +79,8 @@ class Curve:
         """Return x, y and the curve's heading at curve coordinates."""
         x, y, heading, _ = self._at(s)
         xp = namespace(heading)
-        cosine, sine = xp.cos(heading), xp.sin(heading)
+        cosine = xp.cos(heading)
+        sine = xp.sin(heading)
         beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
         return x + beyond * cosine - d * sine, y + beyond * sine + d * cosine, heading
 
@@ -130,7 +131,8 @@ class Curve:
         by row.
         """
         low, share = _between(np.shape(self.x)[-1], s, self.start, self.spacing)
-        xp, found = namespace(self.x, s), []
+        xp = namespace(self.x, s)
+        found = []
         for values in map(xp.asarray, (self.x, self.y, self.heading, self.curvature)):
             each = () if values.ndim == 1 else (np.arange(len(values))[:, None],)
             left = values[*each, low]
@@ -155,7 +157,8 @@ def wrapped(angle: Any) -> Any:
 def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
     """Return the components of a vector along a heading and to the right of it."""
     xp = namespace(x, y, heading)
-    cosine, sine = xp.cos(heading), xp.sin(heading)
+    cosine = xp.cos(heading)
+    sine = xp.sin(heading)
     return x * cosine + y * sine, y * cosine - x * sine
 
 

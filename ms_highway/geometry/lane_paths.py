@@ -161,7 +161,9 @@ def join_lanes(
             which the curve becomes sharper than before and than the lanes are: it would
             follow a kink at a joint.
     """
-    low, high, end = low - MARGIN, high + MARGIN, starts[-1]
+    low = low - MARGIN
+    high = high + MARGIN
+    end = starts[-1]
     parts = []
     for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
         first = TRIM if number else -np.inf
@@ -171,10 +173,8 @@ def join_lanes(
         )
         parts.append((start + s, points, headings))
     if high > end:
-        beyond, heading = (
-            np.arange(max(0.0, low - end), high - end + COARSE, COARSE),
-            lane.heading_at(lane.length),
-        )
+        beyond = np.arange(max(0.0, low - end), high - end + COARSE, COARSE)
+        heading = lane.heading_at(lane.length)
         straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
         parts.append(
             (

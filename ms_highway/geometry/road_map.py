@@ -62,10 +62,8 @@ def kept(function: Function) -> Function:
 
     @wraps(function)
     def remembered(owner: Any, *rest: Any) -> Any:
-        results, key = (
-            vars(owner).setdefault("_kept", {}),
-            (function.__qualname__, *rest),
-        )
+        results = vars(owner).setdefault("_kept", {})
+        key = (function.__qualname__, *rest)
         if key not in results:
             results[key] = function(owner, *rest)
         return results[key]
@@ -84,7 +82,9 @@ class Lane:
     """
 
     def __init__(self, roads: "RoadMap", index: LaneIndex, shape: AbstractLane) -> None:
-        self.roads, self.index, self.shape = roads, index, shape
+        self.roads = roads
+        self.index = index
+        self.shape = shape
         self.start, self.end, self.number = index
         self.length = float(shape.length)
         self.limit = float(shape.speed_limit or LIMIT)
@@ -191,7 +191,8 @@ class Joint(NamedTuple):
 
 def _joint(one: AbstractLane, other: AbstractLane) -> Joint:
     x, y = other.position(0.0, 0.0) - one.position(one.length, 0.0)
-    before, width = one.heading_at(one.length), float(one.width_at(one.length))
+    before = one.heading_at(one.length)
+    width = float(one.width_at(one.length))
     turn = wrapped(other.heading_at(0.0) - before)
     mean = before + turn / 2
     aside = abs(cos(mean) * y - sin(mean) * x)
@@ -228,7 +229,8 @@ class Chain:
         """Return the curve along the lanes near a block, by its number; see
         `join_lanes` for smoothing.
         """
-        low, high = block * BLOCK - BEFORE, (block + 1) * BLOCK + AFTER
+        low = block * BLOCK - BEFORE
+        high = (block + 1) * BLOCK + AFTER
         shapes = [lane.shape for lane in self.lanes]
         return join_lanes(shapes, self.starts, low, high, widths, within)
 
@@ -274,7 +276,8 @@ class Goal:
 
     def ahead(self, lane: Lane, length: float) -> Lanes:
         """Return a lane and the next ones, over a length [m] if there are enough."""
-        lanes, covered = [], 0.0
+        lanes = []
+        covered = 0.0
         for own in self.onward(lane):
             lanes.append(own)
             covered += own.length
@@ -296,7 +299,8 @@ class Goal:
         for own in islice(self.onward(lane), MAX_ROADS):
             if self.spot and own.index[:2] == self.spot.lane[:2]:
                 return self.spot.lane[2] - own.number, passed + self.spot.place
-            passed, wanted = passed + own.length, self.towards.get(own.end)
+            passed = passed + own.length
+            wanted = self.towards.get(own.end)
             leading = [
                 other
                 for other in own.siblings

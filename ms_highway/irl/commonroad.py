@@ -37,7 +37,8 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
         ValueError: if there is no file, or a file is not a scenario with lanes, drivers
             and the time step 0.1 s.
     """
-    counted, recordings = set[tuple](), []
+    counted = set[tuple]()
+    recordings = []
     for path in scenario_files(directory)[:first]:
         scenario = read_scenario(path)
         try:
@@ -51,12 +52,11 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those that earlier files
     have counted.
     """
-    road, tracks = straight_road(scenario), scenario.tracks
+    road = straight_road(scenario)
+    tracks = scenario.tracks
     curve, lanes = _parallel_lanes(road.lines)
-    states, drivers = (
-        np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan),
-        [],
-    )
+    states = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan)
+    drivers = []
     labels = [f"obstacle {track.number}" for track in tracks]
     left_out = {}
     for car, track in enumerate(tracks):

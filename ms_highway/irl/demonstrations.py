@@ -142,7 +142,8 @@ def _drive(
     from minari.data_collector import EpisodeBuffer
 
     options = {"config": {"density": density}}
-    first, steps = env.reset(seed=seed, options=options)[0], []
+    first = env.reset(seed=seed, options=options)[0]
+    steps = []
     for action in actions(driver, env.unwrapped, seed, temperature):  # type: ignore[arg-type]
         steps.append((action, *env.step(action)))
         if any(steps[-1][3:5]):
@@ -168,10 +169,8 @@ def actions(
             yield env.action_type.last_action.astype(np.float32)
         raise KeyboardInterrupt
     game = demonstration_game(DRIVER_WEIGHTS)
-    horizon, scale = (
-        game.planner.horizon,
-        np.asarray(game.planner.control_scale, dtype=float),
-    )
+    horizon = game.planner.horizon
+    scale = np.asarray(game.planner.control_scale, dtype=float)
     for number in count():
         car, others = seen_from(
             env.car_states[0], env.routes[:, env.steps + 1 : env.steps + 1 + horizon]
@@ -221,10 +220,8 @@ def _episode(name: str, observations: np.ndarray) -> Recording:
     ):  # or else cars would seem to be out of sight
         raise ValueError(f"{name} is not finite at step {step}, car {car}")
     game = demonstration_game()
-    states, sizes = (
-        np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan),
-        [game.scene.car_size] * tracks.shape[1],
-    )
+    states = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan)
+    sizes = [game.scene.car_size] * tracks.shape[1]
     road = game.scene.lanes, game.scene.lane_width, game.robot.speed_limit
     content = fingerprint(tracks)
     return Recording(
@@ -247,8 +244,8 @@ def _data_directory(dataset: str) -> Path:
         ImportError: without the packages of the extra ``demonstrations``.
     """
     with needing("demonstrations"):
-        import h5py
-        import minari
+        import h5py  # noqa: F401
+        import minari  # noqa: F401
         from minari.dataset.minari_dataset import parse_dataset_id
         from minari.namespace import validate_namespace
         from minari.storage import get_dataset_path

@@ -153,7 +153,8 @@ def evaluate(
             "cross-validation needs two folds and recordings of two groups; give more,"
             " or evaluate a theta"
         )
-    results, weights = [], []
+    results = []
+    weights = []
     for number, chosen in enumerate(held_out, 1):
         some = snapshots.of(chosen)
         progress(
@@ -191,14 +192,10 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     leader*: nobody within 50 m ahead in the own lane at the start. *following*: none of
     the other regimes. Drivers who are seen for less than 3 s are in none.
     """
-    start, later = (
-        snapshots.drivers(snapshots.now),
-        snapshots.drivers(snapshots.future[:, 10 * REGIME - 1]),
-    )
-    others, reach = (
-        snapshots.now[snapshots.which],
-        snapshots.lane_width[snapshots.which] / 2,
-    )
+    start = snapshots.drivers(snapshots.now)
+    later = snapshots.drivers(snapshots.future[:, 10 * REGIME - 1])
+    others = snapshots.now[snapshots.which]
+    reach = snapshots.lane_width[snapshots.which] / 2
     near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
     _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
     acceleration = (later[:, 3] - start[:, 3]) / REGIME

@@ -104,7 +104,8 @@ def predict(
             f"states are of shape {np.shape(states)}, or not all seen now; give"
             f" {message}"
         )
-    cars, steps = past.shape[1], round(seconds / TIME_STEP)
+    cars = past.shape[1]
+    steps = round(seconds / TIME_STEP)
     for name, value, right in (
         (
             "lanes",
@@ -130,7 +131,8 @@ def predict(
     bodies = np.pad(
         np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0
     )
-    road, numbers = (np.sort(centres), lane_width, speed_limit), np.arange(len(bodies))
+    road = (np.sort(centres), lane_width, speed_limit)
+    numbers = np.arange(len(bodies))
     snapshot = Snapshots(
         near[:-STEPS], near[-STEPS:], bodies, *road, numbers >= 0, numbers, 0
     )
@@ -142,14 +144,10 @@ def predict(
     modes, spread = predict_with(
         predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers
     )
-    weights, means = (
-        np.asarray(modes.probability)[:cars],
-        np.asarray(modes.path)[:cars, :, :steps],
-    )
-    freedom, scales = (
-        np.asarray(spread.freedom(steps)),
-        np.asarray(spread.scales(means.shape[1], steps)),
-    )
+    weights = np.asarray(modes.probability)[:cars]
+    means = np.asarray(modes.path)[:cars, :, :steps]
+    freedom = np.asarray(spread.freedom(steps))
+    scales = np.asarray(spread.scales(means.shape[1], steps))
     wider = (
         freedom * np.expm1(WITHIN / freedom) / WITHIN
     )  # squared radius of Student's region, relative to WITHIN

@@ -147,7 +147,8 @@ def learn_reward(
         found = fit_weights(
             derivatives, model, drivers=segments.driver if real else None
         )
-    held_out, parts = list[float](), folds(segments.group, validations)
+    held_out = list[float]()
+    parts = folds(segments.group, validations)
     for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
         progress(f"cross-validating, {number} of {len(parts)}")
         rest = fit_weights(derivatives.of(~chosen), model, found)

@@ -168,10 +168,8 @@ def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
     def features(controls: jax.Array) -> jax.Array:
         return summed_features(game, segment, controls.reshape(-1, 2))
 
-    controls, gradients = (
-        (segment.controls / game.planner.control_scale).ravel(),
-        jax.jacrev(features),
-    )
+    controls = (segment.controls / game.planner.control_scale).ravel()
+    gradients = jax.jacrev(features)
     return FeatureDerivatives(
         features(controls), gradients(controls), jax.jacfwd(gradients)(controls)
     )
@@ -198,7 +196,8 @@ def log_likelihoods(
 
     def log_p(pair: tuple[jax.Array, jax.Array]) -> jax.Array:
         gradient, curvature = pair  # g and -H
-        lowest, d = floor / temperature, len(gradient)
+        lowest = floor / temperature
+        d = len(gradient)
         high = jnp.isfinite(
             jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))
         ).all()  # then nothing is floored
@@ -207,10 +206,8 @@ def log_likelihoods(
                 high, lambda same: same, lambda low: floored(low, lowest), curvature
             )
         )
-        distance, sharpness = (
-            gradient @ cho_solve((root, True), gradient),
-            jnp.sum(jnp.log(jnp.diagonal(root))),
-        )
+        distance = gradient @ cho_solve((root, True), gradient)
+        sharpness = jnp.sum(jnp.log(jnp.diagonal(root)))
         if tails is None:
             return -distance / 2 + sharpness - d / 2 * jnp.log(2 * jnp.pi)
         normalised = (
@@ -263,7 +260,8 @@ def fit_weights(
             bound.
         ValueError: if the fit does not converge.
     """
-    learned, remedy = len(model.learned), "learn fewer weights, or from more driving"
+    learned = len(model.learned)
+    remedy = "learn fewer weights, or from more driving"
     names = [
         *(f"the weight of {name}" for name in model.learned),
         "the temperature",
@@ -311,7 +309,9 @@ def fit_weights(
             method="trust-exact",
             options=TRUST_REGION,
         )
-        best, weights, hessian = found.x, model.weights(found.x), curvature(found.x)
+        best = found.x
+        weights = model.weights(found.x)
+        hessian = curvature(found.x)
         (_, likelihoods), slope = _loss(best, *data)
         if np.abs(slope).max() >= TOLERANCE:
             far = (
@@ -348,7 +348,8 @@ def _segment_likelihoods(
     given: Parameters,
 ) -> Vector:
     """Return log p of every segment; the logarithms are those of `Fit`."""
-    sizes, learned = jnp.exp(logarithms), len(signs)
+    sizes = jnp.exp(logarithms)
+    learned = len(signs)
     temperature, *tails = sizes[learned:]
     return log_likelihoods(
         derivatives,

@@ -85,10 +85,8 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
     is NaN.
     """
     modes, spread = mixture
-    scales, freedom = (
-        spread.scales(*modes.path.shape[1:3]),
-        spread.freedom(modes.path.shape[2]),
-    )
+    scales = spread.scales(*modes.path.shape[1:3])
+    freedom = spread.freedom(modes.path.shape[2])
     deviations = (positions[:, None] - modes.path) / scales
     densities = -(freedom / 2 + 1) * jnp.log1p(
         jnp.sum(deviations**2, axis=-1) / freedom
@@ -106,13 +104,13 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
     drivers are in the 50 % region.
     """
     (probability, paths), spread = mixture
-    random, path = np.random.default_rng(0), np.asarray(paths)
+    random = np.random.default_rng(0)
+    path = np.asarray(paths)
     n, number, steps = path.shape[:3]
-    scales, freedom = (
-        np.asarray(spread.scales(number, steps)),
-        np.asarray(spread.freedom(steps)),
-    )
-    edge, inside = np.asarray(log_density(mixture, positions)), np.zeros((n, steps))
+    scales = np.asarray(spread.scales(number, steps))
+    freedom = np.asarray(spread.freedom(steps))
+    edge = np.asarray(log_density(mixture, positions))
+    inside = np.zeros((n, steps))
     below = np.cumsum(np.asarray(probability), axis=1)[:, :-1]
     for _ in range(DRAWS):
         mode = np.sum(random.random((n, 1)) > below, axis=1)

@@ -183,7 +183,8 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS
     over the logarithms of the parameters.
     """
-    first, data = np.log(jax.tree.leaves(FIRST_IDM)[:7]), jax.device_put(snapshots)
+    first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
+    data = jax.device_put(snapshots)
     best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
     parameters: dict[str, dict] = {name: {} for name in PREDICTORS if name != "model"}
     parameters["fitted_idm"] = structs.asdict(IdmParameters(*best))
@@ -232,7 +233,8 @@ def robust_errors(
 @partial(jax.vmap, in_axes=(None, 0))
 def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
     """Return the positions of all cars after each step [50, cars, 2]."""
-    start, lane = seen_states(snapshot.past[-1]), lane_centre(snapshot, 0)
+    start = seen_states(snapshot.past[-1])
+    lane = lane_centre(snapshot, 0)
     desired = jnp.clip(
         jnp.maximum(start[:, 3], parameters.speed), 0.01, snapshot.speed_limit
     )
@@ -262,10 +264,8 @@ def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
             )
         )
         distance = TIME_STEP * speed
-        x, y = (
-            x + distance * jnp.cos(heading + slip),
-            y + distance * jnp.sin(heading + slip),
-        )
+        x = x + distance * jnp.cos(heading + slip)
+        y = y + distance * jnp.sin(heading + slip)
         faster = jnp.maximum(speed + TIME_STEP * acceleration, 0.0)
         after = jnp.stack(
             [x, y, heading + distance * jnp.sin(slip) / AXLES, faster], axis=-1
@@ -301,7 +301,8 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     probability = jax.nn.softmax(
         jnp.concatenate([jnp.zeros((len(odds), 1)), odds], axis=1), axis=1
     )
-    sides, now = jnp.asarray(SIDES), seen_states(snapshot.past[-1])
+    sides = jnp.asarray(SIDES)
+    now = seen_states(snapshot.past[-1])
     after = roll_out(drivers, snapshot, traits, sides[probability.argmax(axis=-1)])
     around = jnp.concatenate([now[None], after[:-1]])
     paths = jax.vmap(
@@ -318,7 +319,8 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
 
     The advantages are those that `ms_highway.game.learned_drivers.Intention` weighs.
     """
-    states, centre = seen_states(snapshot.past[-1]), lane_centre(snapshot, 0)
+    states = seen_states(snapshot.past[-1])
+    centre = lane_centre(snapshot, 0)
     _, y, heading, speed = states.T
     drift = speed * jnp.sin(heading)
     times = TIME_STEP * (np.arange(STEPS_PER_SECOND + 1) - STEPS_PER_SECOND / 2)

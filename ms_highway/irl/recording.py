@@ -355,8 +355,10 @@ def smoothed(recorded: Points) -> Track:
     They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and
     h_0: a standing car therefore keeps its heading, and its curvature decays to 0.
     """
-    dt, each = TIME_STEP, np.eye(len(recorded) - 1)
-    change, cosine = np.diff(each, axis=0), np.ones(len(each))
+    dt = TIME_STEP
+    each = np.eye(len(recorded) - 1)
+    change = np.diff(each, axis=0)
+    cosine = np.ones(len(each))
     sine_per_heading = cosine
     for _ in range(ROUNDS):
         speeds = _cumulative(each * dt)
@@ -379,7 +381,8 @@ def smoothed(recorded: Points) -> Track:
             turning[0],
             *np.clip(turning[1:], -CURVATURE_LIMIT, CURVATURE_LIMIT),
         ]
-        cosine, sine_per_heading = np.cos(heading[:-1]), np.sinc(heading[:-1] / np.pi)
+        cosine = np.cos(heading[:-1])
+        sine_per_heading = np.sinc(heading[:-1] / np.pi)
 
     likeliest = np.stack(np.broadcast_arrays(x, y, heading, speed), axis=-1)
     controls = recover_control(PAPER_DYNAMICS, likeliest[:-1], likeliest[1:])

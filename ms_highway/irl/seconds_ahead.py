@@ -143,8 +143,10 @@ def _fit_drivers(
     The drivers have the intention that makes their lane changes most likely.
     """
     learned_from, _ = _labels(snapshots)
-    number, used = learned_from.sum(), learned_from.any(axis=1).sum()
-    data, evaluations = jax.device_put(snapshots), count(1)
+    number = learned_from.sum()
+    used = learned_from.any(axis=1).sum()
+    data = jax.device_put(snapshots)
+    evaluations = count(1)
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
         progress(
@@ -152,7 +154,8 @@ def _fit_drivers(
         )
         error, slope = _mean_error(logarithms, data)
         far = (logarithms - FIRST) / DEVIATIONS
-        prior, prior_slope = far @ far / (2 * number), far / DEVIATIONS / number
+        prior = far @ far / (2 * number)
+        prior_slope = far / DEVIATIONS / number
         return float(error) + prior, np.asarray(slope, dtype=float) + prior_slope
 
     found = minimum(loss, first, maxiter=iterations, ftol=1e-6)
@@ -231,7 +234,8 @@ def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
     The scores are the slopes of each driver's errors in all its snapshots; the Hessian,
     with the prior, is by finite differences.
     """
-    data, learned_from = jax.device_put(snapshots), np.asarray(_labels(snapshots)[0])
+    data = jax.device_put(snapshots)
+    learned_from = np.asarray(_labels(snapshots)[0])
     hessian = slope_differences(
         lambda logarithms: _mean_error(logarithms, data)[1], found, DIFFERENCE
     )

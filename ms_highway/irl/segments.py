@@ -85,12 +85,11 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
             scene = Scene(
                 lanes, recording.lane_width, car_size=size, target_lane=lanes[0]
             )
-            track, entry = (
-                track_of(recording, driver),
-                recording.seen[:, driver].argmax(),
-            )
+            track = track_of(recording, driver)
+            entry = recording.seen[:, driver].argmax()
             for first in range(0, len(track.controls) - steps + 1, steps):
-                start, now = track.states[first], entry + first
+                start = track.states[first]
+                now = entry + first
                 present = recording.seen[now] & (
                     np.arange(len(recording.sizes)) != driver
                 )
@@ -187,7 +186,8 @@ def summed_features(
     The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls
     that keep the velocity.
     """
-    here, start = with_segment(game, segment), jnp.asarray(segment.start)
+    here = with_segment(game, segment)
+    start = jnp.asarray(segment.start)
     path = Motion(*move(game, start, controls))
     features = jnp.stack(
         motion_features(here.scene, here.robot, path, observe(segment.others))

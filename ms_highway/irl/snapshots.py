@@ -125,10 +125,8 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
             constant_values=np.nan,
         )
         sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-        track, predicted = (
-            np.full(cars, -1),
-            np.zeros((len(recording.states), cars), dtype=bool),
-        )
+        track = np.full(cars, -1)
+        predicted = np.zeros((len(recording.states), cars), dtype=bool)
         track[recording.drivers] = first_track + np.arange(len(recording.drivers))
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])

@@ -328,18 +328,16 @@ def unmoved_control(
     its lane or the next one as soon as the robot's front has passed its own centre,
     until there is room for the robot, unless another car is between them.
     """
-    xp, scene, own, others = (
-        state.__array_namespace__(),
-        game.scene,
-        state[0],
-        state[1:],
-    )
-    length, width = xp.asarray(scene.car_size)[0], xp.asarray(scene.lane_width)
-    along, aside = others[:, 0] - own[0], xp.abs(others[:, 1] - own[1])
-    gaps, closing = (
-        xp.maximum(along - length, MIN_GAP),
-        xp.maximum(own[3] - others[:, 3], 0.0),
-    )
+    xp = state.__array_namespace__()
+    scene = game.scene
+    own = state[0]
+    others = state[1:]
+    length = xp.asarray(scene.car_size)[0]
+    width = xp.asarray(scene.lane_width)
+    along = others[:, 0] - own[0]
+    aside = xp.abs(others[:, 1] - own[1])
+    gaps = xp.maximum(along - length, MIN_GAP)
+    closing = xp.maximum(own[3] - others[:, 3], 0.0)
     partner = xp.arange(len(others)) == 0
     ahead = (along > 0) & (aside < width / 2) & (yields | ~partner)
     braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
@@ -381,10 +379,8 @@ def traceable(name: str, game: Game) -> DriverFunction:
         ValueError: if the driver is a class of vehicles, the keyboard, a driver that
             remembers, or a function that JAX cannot trace or traces in two ways.
     """
-    driver, remedy = (
-        HUMAN_DRIVERS.get(name),
-        "give add_driver a pure function of jax.numpy, or use `compare`",
-    )
+    driver = HUMAN_DRIVERS.get(name)
+    remedy = "give add_driver a pure function of jax.numpy, or use `compare`"
     if driver is None or is_vehicle(driver):
         raise ValueError(
             f"config['human_driver'] is {name!r}, which cannot be simulated; {remedy}"

@@ -31,7 +31,8 @@ from ms_highway.runtime.arrays import (
 
 Point = TypeVar("Point", bound=PyTree)
 
-STEPS, JOINT_STEPS = 8, 4
+STEPS = 8
+JOINT_STEPS = 4
 """Largest numbers of steps of a plan by default, see `until_still`: alone, and where
 others respond to each step.
 

@@ -113,7 +113,8 @@ def damped_solve(hessian: Matrix, vector: Vector) -> Vector:
     Hessian definite, without eigenvalues (Levenberg 1944; Nocedal and Wright). Zero
     where the result is not finite.
     """
-    symmetric, identity = (hessian + hessian.T) / 2, jnp.eye(len(hessian))
+    symmetric = (hessian + hessian.T) / 2
+    identity = jnp.eye(len(hessian))
 
     def factored(damping: Scalar) -> tuple[Scalar, Matrix]:
         return damping, jnp.linalg.cholesky(

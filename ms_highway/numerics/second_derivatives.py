@@ -81,7 +81,8 @@ def second_order_expansion(
         jacobian = trajectory_jacobian(path, controls)
     flat = jacobian.reshape(-1, point.size)
     bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
-    gradient, hessian = slope.ravel() @ flat, flat.T @ bent.reshape(-1, point.size)
+    gradient = slope.ravel() @ flat
+    hessian = flat.T @ bent.reshape(-1, point.size)
     if not linear:
         hessian += jax.jacfwd(
             lambda controls: jax.vjp(ravelled, controls)[1](slope)[0]
@@ -159,10 +160,8 @@ def _floored_jvp(
     (symmetric, floor), (change, of_floor) = primals, tangents
     values, vectors = jnp.linalg.eigh(symmetric)
     high = values > floor
-    above, below = (
-        jnp.where(high, values, floor)[:, None],
-        jnp.where(high, floor - 1.0, values)[None, :],
-    )
+    above = jnp.where(high, values, floor)[:, None]
+    below = jnp.where(high, floor - 1.0, values)[None, :]
     mixed = (above - floor) / (above - below)
     one_of_two = high[:, None] ^ high[None, :]
     shares = jnp.where(

@@ -84,12 +84,11 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return the corridor of the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN, WITHIN)
     ways = curve.ways
-    rows, is_open, low = (
-        np.zeros((LANES + 2, ways.size)),
-        np.zeros((LANES, ways.size), dtype=bool),
-        0,
-    )
-    lanes, edges = rows[:LANES], rows[LANES:]
+    rows = np.zeros((LANES + 2, ways.size))
+    is_open = np.zeros((LANES, ways.size), dtype=bool)
+    low = 0
+    lanes = rows[:LANES]
+    edges = rows[LANES:]
     for until, (left, own, right) in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
         if here.stop <= here.start:
@@ -131,7 +130,8 @@ def _sections(
     sides: list[Lane | None] = [None, None]
     for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
         for side, step in enumerate((-1, 1)):
-            onward, sibling = goal.next(sides[side]), own.beside(step)
+            onward = goal.next(sides[side])
+            sibling = own.beside(step)
             joins = onward and (
                 onward in own.siblings or onward.end == goal.towards.get(own.start)
             )
@@ -172,11 +172,14 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN
     beyond the lane's ends.
     """
-    x, y, heading = curve.x[here], curve.y[here], curve.heading[here]
+    x = curve.x[here]
+    y = curve.y[here]
+    heading = curve.heading[here]
     ends = sorted(
         lane.shape.local_coordinates(np.array([x[end], y[end]]))[0] for end in (0, -1)
     )
-    low, high = max(ends[0] - LANE_MARGIN, 0.0), min(ends[1] + LANE_MARGIN, lane.length)
+    low = max(ends[0] - LANE_MARGIN, 0.0)
+    high = min(ends[1] + LANE_MARGIN, lane.length)
     margin = (
         COARSE if lane.length < 2 * COARSE else 0.0
     )  # so that there are two samples

@@ -17,7 +17,8 @@ from ms_highway.geometry.bodies import Sizes
 from ms_highway.geometry.curve import Curve, Knots
 from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
 
-KNOTS, TRAFFIC_KNOTS = 96, 64
+KNOTS = 96
+TRAFFIC_KNOTS = 64
 """Number of knots of the robot's route (20 m behind to 170 m ahead), and of the paths
 of others (to 106 m ahead).
 """

@@ -21,7 +21,8 @@ AHEAD, ONCOMING, BEHIND_SIGHT = (
     250.0,
     60.0,
 )  # m, range of sight: ahead, for oncoming vehicles, and behind
-MAX_VEHICLES, MAX_WAYS = 16, 3
+MAX_VEHICLES = 16
+MAX_WAYS = 3
 ONCOMING_COSINE = (
     -0.7
 )  # cosine of the angle between headings below which a vehicle is oncoming

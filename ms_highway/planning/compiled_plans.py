@@ -373,7 +373,8 @@ def checked_state(state: State) -> State:
         single = facing(state).astype(np.float32)
     if not np.isfinite(single).all():
         car, column = np.argwhere(~np.isfinite(single))[0]
-        value, name = state[car, column], ["x", "y", "heading", "speed"][column]
+        value = state[car, column]
+        name = ["x", "y", "heading", "speed"][column]
         why = ", too large for single precision" if np.isfinite(value) else ""
         raise ValueError(
             f"the state of car {car} is not finite: {name} is {value}{why}"

@@ -185,7 +185,9 @@ def following_control(game: Game, state: State) -> Control:
     """Return the control, not scaled, of car 1 if it follows the car ahead by the
     Intelligent Driver Model.
     """
-    scene, own, others = game.scene, state[1], jnp.concatenate([state[:1], state[2:]])
+    scene = game.scene
+    own = state[1]
+    others = jnp.concatenate([state[:1], state[2:]])
     offset = others[:, :2] - own[:2]
     leader, leads = nearest_ahead(
         offset[:, 0], jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
@@ -334,7 +336,8 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
     Raises:
         ValueError: if it is anything else.
     """
-    wanted, found = (game.planner.horizon, 2), repr(controls)
+    wanted = (game.planner.horizon, 2)
+    found = repr(controls)
     with suppress(TypeError, ValueError):
         array = jnp.asarray(controls)
         if array.shape == wanted and jnp.isdtype(

@@ -428,5 +428,6 @@ def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     if not game.robot.own:
         leader = 1 if game.scene.leader == 1 else None
         scene = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=leader)
-        game, others = replace(game, scene=scene), others[:1]
+        game = replace(game, scene=scene)
+        others = others[:1]
     return game.payoff.second_order(own, others).partner

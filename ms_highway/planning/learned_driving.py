@@ -98,7 +98,8 @@ def held_curvature(
     slope = 0.0 * speed  # a float, also for whole speeds
     bend = xp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
     for time in TIMES:
-        aside, turned = (speed * time) ** 2 / 2, speed * time
+        aside = (speed * time) ** 2 / 2
+        turned = speed * time
         slope -= (
             2
             * weights["lane_alignment"]
@@ -166,7 +167,8 @@ def leader_of(snapshot: Any, states: States, others: States, lane: Cars) -> Lead
     """Return the nearest of the others ahead of each car, in the lane around a lateral
     position for each.
     """
-    not_itself, lengths = ~jnp.eye(len(states), dtype=bool), snapshot.sizes[:, 0]
+    not_itself = ~jnp.eye(len(states), dtype=bool)
+    lengths = snapshot.sizes[:, 0]
     place, there = leaders(
         states[:, 0], lane, others, not_itself, snapshot.lane_width / 2
     )
@@ -192,17 +194,16 @@ def roll_out(
         around: states of the others before each step, among which each car drives
             alone; by default, all cars drive together.
     """
-    changes, wanted = side != 0, lane_centre(snapshot, side)
+    changes = side != 0
+    wanted = lane_centre(snapshot, side)
 
     def factor(name: str) -> Cars:
         return jnp.where(changes, drivers.changing.get(name, 1.0), 1.0)
 
     weights = {name: weight * factor(name) for name, weight in drivers.weights.items()}
     usual = drivers.prior.traits(logarithms, snapshot.speed_limit)
-    speeds, headways = (
-        usual.desired_speed * factor("desired speed"),
-        usual.headway * factor("typical headway"),
-    )
+    speeds = usual.desired_speed * factor("desired speed")
+    headways = usual.headway * factor("typical headway")
     traits = RewardTraits(speeds, headways, usual.patience)
 
     @jax.checkpoint  # or else gradients over 5 s would exhaust the memory
@@ -218,7 +219,8 @@ def roll_out(
         curvature = held_curvature(weights, y - wanted, heading, speed)
         faster = jnp.maximum(speed + acceleration * TIME_STEP, 0.0)
         distance = (speed + faster) / 2 * TIME_STEP
-        ahead, aside = x + distance * jnp.cos(heading), y + distance * jnp.sin(heading)
+        ahead = x + distance * jnp.cos(heading)
+        aside = y + distance * jnp.sin(heading)
         after = jnp.stack(
             [ahead, aside, heading + curvature * distance, faster], axis=-1
         )
@@ -235,11 +237,9 @@ def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
     car's mean acceleration, which `held_acceleration` in the recorded states predicts
     with the prior's noise. Surprises are clipped to 3 standard deviations.
     """
-    prior, seen, past = (
-        drivers.prior,
-        jnp.isfinite(snapshot.past).all(axis=-1),
-        seen_states(snapshot.past),
-    )
+    prior = drivers.prior
+    seen = jnp.isfinite(snapshot.past).all(axis=-1)
+    past = seen_states(snapshot.past)
     speeds = past[..., 3]
     leader = jax.vmap(lambda states: leader_of(snapshot, states, states, states[:, 1]))(
         past
@@ -256,10 +256,8 @@ def shown_traits(drivers: Drivers, snapshot: Any) -> TraitLogarithms:
         jnp.diag(jnp.asarray(prior.deviations) ** 2), (len(mean), 1, 1)
     )
     for first in range(0, PAST_STEPS, STEPS_PER_SECOND):
-        then, last = (
-            slice(first, first + STEPS_PER_SECOND, STRIDE),
-            first + STEPS_PER_SECOND,
-        )
+        then = slice(first, first + STEPS_PER_SECOND, STRIDE)
+        last = first + STEPS_PER_SECOND
         gained = (speeds[last] - speeds[first]) / (STEPS_PER_SECOND * TIME_STEP)
         predicted, slope = expected(
             mean, speeds[then].T, Leader(*(part[then].T for part in leader))

@@ -84,12 +84,12 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
         car: its state now.
         others: motion of all others after each step, arrays [others, steps].
     """
-    lanes, length = jnp.asarray(game.scene.lanes), jnp.asarray(game.scene.car_size)[0]
-    present, places = (
-        _nearest(lanes, car[1]),
-        jax.vmap(partial(_nearest, lanes))(others.y[:, 0]),
-    )
-    x, speed = others.x, others.speed
+    lanes = jnp.asarray(game.scene.lanes)
+    length = jnp.asarray(game.scene.car_size)[0]
+    present = _nearest(lanes, car[1])
+    places = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    x = others.x
+    speed = others.speed
     leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
     leads = leads[:, None]
     of_lane = places == lanes[:, None]
@@ -109,7 +109,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
             jnp.where(taken, speed[last], car[3]),
         ]
     )
-    middle, half = (behind + before) / 2, (before - behind) / 2
+    middle = (behind + before) / 2
+    half = (before - behind) / 2
 
     def one(
         lane: Scalar, *gap: Float[jax.Array, "steps"]

@@ -100,15 +100,12 @@ def _within_road(game: Game, others: Motion) -> Motion:
     """Stop motion off the road: at its edge, or where a car beyond the edge is after a
     step.
     """
-    scene, first = game.scene, others.y[..., :1]
-    lanes, room = (
-        jnp.asarray(scene.lanes),
-        (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2,
-    )
-    low, high = (
-        jnp.minimum(lanes.min() - room, first),
-        jnp.maximum(lanes.max() + room, first),
-    )
+    scene = game.scene
+    first = others.y[..., :1]
+    lanes = jnp.asarray(scene.lanes)
+    room = (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2
+    low = jnp.minimum(lanes.min() - room, first)
+    high = jnp.maximum(lanes.max() + room, first)
     return others._replace(y=jnp.clip(others.y, low, high))
 
 

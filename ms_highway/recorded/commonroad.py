@@ -50,7 +50,7 @@ SPEED_SIGNS = {
     "R15",
     "R2-1",
     "r301",
-    "Ρ-32",
+    "Ρ-32",  # noqa: RUF001
 }
 """Ids of the speed limit signs of all countries; the Greek one begins with a Greek
 letter.
@@ -122,7 +122,8 @@ def read_xml(path: Path) -> bytes:
 
 
 def _recording(root: Element, source: str) -> TrafficRecording:
-    version, name = root.get("commonRoadVersion"), root.get("benchmarkID", "")
+    version = root.get("commonRoadVersion")
+    name = root.get("benchmarkID", "")
     if root.tag != "commonRoad" or version != "2020a" or not name:
         raise ValueError(
             f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a"
@@ -245,10 +246,8 @@ def _lanelet(
     number: int, element: Element, limits: dict[int, list[float]]
 ) -> tuple[Lanelet, bool]:
     """Return a lanelet, and whether cars drive on it."""
-    left, right = (
-        _points(element, "leftBound/point"),
-        _points(element, "rightBound/point"),
-    )
+    left = _points(element, "leftBound/point")
+    right = _points(element, "rightBound/point")
     if (
         len(left) != len(right)
         or len(left) < 2
@@ -268,10 +267,8 @@ def _lanelet(
     beside_left, beside_right = (
         None if side is None else int(side.get("ref", "")) for side in sides
     )
-    before, after = (
-        _references(element, "predecessor"),
-        _references(element, "successor"),
-    )
+    before = _references(element, "predecessor")
+    after = _references(element, "successor")
     limit = min(chain(*(limits[sign] for sign in signs)), default=None)
     lanelet = Lanelet(
         number, left, right, before, after, (beside_left, beside_right), limit
@@ -308,7 +305,8 @@ def _boxed(
     of the shapes' origin.
     """
     corners = np.concatenate(_outlines(element))
-    low, high = corners.min(axis=0), corners.max(axis=0)
+    low = corners.min(axis=0)
+    high = corners.max(axis=0)
     length, width = (high - low).tolist()
     samples[:, 1:3] += _turned(
         np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3]

@@ -152,7 +152,8 @@ def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
     for goal in problem.goals:
         if goal.area is None:
             continue
-        position, heading = road.axes.positions(goal.area.mean(axis=0)), None
+        position = road.axes.positions(goal.area.mean(axis=0))
+        heading = None
         if goal.headings:
             low, high = goal.headings
             heading = float(road.axes.headings(low + (high - low) % FULL_TURN / 2))
@@ -243,7 +244,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
 
     settings_type = RecordedSettings
     scenario: TrafficRecording
-    types = {
+    types = {  # noqa: RUF012
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
             "ContinuousAction": RANGES | {"dynamical": Any},
@@ -291,15 +292,11 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
-        task, straight = (
-            problem_of(scenario, self.settings.ego),
-            straight_road(scenario),
-        )
+        task = problem_of(scenario, self.settings.ego)
+        straight = straight_road(scenario)
         x, y, orientation, speed = task.start
-        position, heading = (
-            straight.axes.positions([x, y]),
-            float(straight.axes.headings(orientation)),
-        )
+        position = straight.axes.positions([x, y])
+        heading = float(straight.axes.headings(orientation))
         lane = straight.network.get_lane(
             straight.network.get_closest_lane_index(position, heading)
         )
@@ -319,22 +316,16 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         )
         vehicle.check_collisions = False
         road.vehicles.insert(0, vehicle)
-        self.scenario, self.task, self.road, self.axes = (
-            scenario,
-            task,
-            road,
-            straight.axes,
-        )
-        self.goal, self.desired_speed = (
-            timed_goal(task, straight),
-            max(speed, MIN_DESIRED_SPEED),
-        )
-        self.controlled_vehicles, self.success, self.off_road, self.progress = (
-            [vehicle],
-            False,
-            False,
-            0.0,
-        )
+        self.scenario = scenario
+        self.task = task
+        self.road = road
+        self.axes = straight.axes
+        self.goal = timed_goal(task, straight)
+        self.desired_speed = max(speed, MIN_DESIRED_SPEED)
+        self.controlled_vehicles = [vehicle]
+        self.success = False
+        self.off_road = False
+        self.progress = 0.0
         self._along = float(road.states[vehicle][0])
 
     @property
@@ -351,14 +342,14 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         reached the goal or left the road.
         """
         super()._simulate(action)
-        ego, road = self.vehicle, self.road
+        ego = self.vehicle
+        road = self.road
         along = float(road.states[ego][0])
-        self.progress, self._along = along - self._along, along
+        self.progress = along - self._along
+        self._along = along
         self.off_road |= not road.straight.covers(ego.polygon()[:-1])
-        orientation, point = (
-            float(self.axes.headings(ego.heading)),
-            self.axes.points(ego.position),
-        )
+        orientation = float(self.axes.headings(ego.heading))
+        point = self.axes.points(ego.position)
         reached = self.task.is_reached(road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 

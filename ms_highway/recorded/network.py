@@ -88,7 +88,8 @@ class Axes(NamedTuple):
 
     @property
     def _mirror(self) -> np.ndarray:
-        cosine, sine = np.cos(self.turn), np.sin(self.turn)
+        cosine = np.cos(self.turn)
+        sine = np.sin(self.turn)
         return np.array([[cosine, sine], [sine, -cosine]])
 
 
@@ -109,12 +110,16 @@ class SampledLane(AbstractLane):
         line_types: Sequence[int],
         speed_limit: float,
     ) -> None:
-        self.centres, self.widths = centres, widths
+        self.centres = centres
+        self.widths = widths
         x, y = centres.T
         spacing = np.hypot(np.diff(x), np.diff(y)).mean()
         self.curve = Curve.through(x, y, spacing=float(spacing))
-        self.length, self.speed_limit = float(self.curve.end), speed_limit
-        self.line_types, self.forbidden, self.priority = line_types, False, 0
+        self.length = float(self.curve.end)
+        self.speed_limit = speed_limit
+        self.line_types = line_types
+        self.forbidden = False
+        self.priority = 0
 
     def position(self, longitudinal: float, lateral: float) -> np.ndarray:
         """Return the position at lane coordinates [m]."""
@@ -174,7 +179,8 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
             places, or too sharp a turn.
     """
     known = {lanelet.number: lanelet for lanelet in lanelets}
-    network, roads = LaneletNetwork(), [*_roads(known)]
+    network = LaneletNetwork()
+    roads = [*_roads(known)]
     for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(

@@ -140,10 +140,8 @@ class StraightRoad:
         inside = np.zeros(len(points), bool)
         for lane in self._lanes:
             along, aside = lane.shape.curve.locate(points)
-            first, last = (
-                0.0 if lane.preceding else -ONWARD,
-                lane.length + (0.0 if lane.following() else ONWARD),
-            )
+            first = 0.0 if lane.preceding else -ONWARD
+            last = lane.length + (0.0 if lane.following() else ONWARD)
             widths = lane.shape.curve.interpolate(lane.shape.widths, along)
             inside |= (
                 (first <= along)

@@ -132,7 +132,9 @@ class RecordedRoad(Road):
     ) -> None:
         self.straight = straight_road(recording)
         super().__init__(self.straight.network, np_random=np_random)
-        self.begin, self.now, self._driver = begin, begin, VEHICLES[traffic]
+        self.begin = begin
+        self.now = begin
+        self._driver = VEHICLES[traffic]
         self._computed: tuple[tuple, dict[Vehicle, State]] = ((), {})
         self.coming = [
             track
@@ -210,7 +212,8 @@ class RecordedRoad(Road):
         """
         for track in self.waiting:
             kind: Any = self._driver if track.drives else ReplayedVehicle
-            replayed, states = kind is ReplayedVehicle, self.recorded(track)
+            replayed = kind is ReplayedVehicle
+            states = self.recorded(track)
             *position, heading, speed = states[0].tolist()
             vehicle = sized(
                 (
@@ -220,11 +223,9 @@ class RecordedRoad(Road):
                 ),
                 track.size,
             )
-            vehicle.track, vehicle.check_collisions, vehicle.follows_lanes = (
-                track,
-                False,
-                track.drives,
-            )
+            vehicle.track = track
+            vehicle.check_collisions = False
+            vehicle.follows_lanes = track.drives
             vehicle.way = self.straight.way(track)
             vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
             vehicle.target_speed = (

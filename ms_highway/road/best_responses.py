@@ -29,7 +29,8 @@ NEWTON_STEPS = 3
 ACCELERATION_UNIT = 5.0
 """Unit of the optimised accelerations [m/s^2]."""
 
-MIN_ACCELERATION, MAX_ACCELERATION = -6.0 / ACCELERATION_UNIT, 3.0 / ACCELERATION_UNIT
+MIN_ACCELERATION = -6.0 / ACCELERATION_UNIT
+MAX_ACCELERATION = 3.0 / ACCELERATION_UNIT
 FIRST_ACCELERATIONS = (
     np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT
 )  # steady braking
@@ -161,7 +162,8 @@ class Commuter:
         """Derivatives of s and speed after each step in the accelerations [2, steps,
         n].
         """
-        steps, dt = np.arange(self.planning.steps), self.planning.time_step
+        steps = np.arange(self.planning.steps)
+        dt = self.planning.time_step
         age = steps[:, None] - steps
         by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * ACCELERATION_UNIT)
         return jnp.stack([by_speed * (age + 0.5) * dt, by_speed])

@@ -94,7 +94,8 @@ def check_drivable(env: Any) -> None:
     Raises:
         ValueError: naming what works.
     """
-    base, reason = env.unwrapped, None
+    base = env.unwrapped
+    reason = None
     name = base.spec.id if base.spec else type(base).__name__
     if isinstance(base, ParkingEnv):
         reason = "has no road to follow"
@@ -192,10 +193,8 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         )  # so that traffic does not depend on who drives
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
-            goal, robot = (
-                destination_of(base, number),
-                replace_ego(base, RoadRobot.create_from, number),
-            )
+            goal = destination_of(base, number)
+            robot = replace_ego(base, RoadRobot.create_from, number)
             robot.drive_with(
                 self.settings.build(planning, random),
                 goal,

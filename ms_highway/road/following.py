@@ -62,7 +62,8 @@ def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
     only react to the car ahead. The part of an acceleration that the model does not
     explain fades; hard braking ahead of the robot goes on.
     """
-    scene, times = now.scene, now.planning.times
+    scene = now.scene
+    times = now.planning.times
     follows = (models >= IDM) & scene.moving & ~now.crossings.exist
     expected = follows | ((models == TOM) & scene.moving)
     residual = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
@@ -119,7 +120,8 @@ def follow_all(
     scene, (s, d, _, speed) = now.scene, robot
     first, _, _, desired = jnp.asarray(scene.states).T
     desired = jnp.where(desired < SLOW_SHARE * scene.limits, scene.limits, desired)
-    moved, ahead = along - first, s + scene.size[0] / 2 - where[0]
+    moved = along - first
+    ahead = s + scene.size[0] / 2 - where[0]
     gaps = jnp.where(
         scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP
     )

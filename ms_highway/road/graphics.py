@@ -77,11 +77,10 @@ class RoadViewer(Viewer):
         """Draw predictions as dots, their cars in the colours of the rungs, and the
         plan as a line.
         """
-        ego, surface = self.env.vehicle, self.sim_surface
-        known, predictions = (
-            list(ego.road_memory.numbers),
-            np.asarray(step.humans, dtype=float),
-        )
+        ego = self.env.vehicle
+        surface = self.sim_surface
+        known = list(ego.road_memory.numbers)
+        predictions = np.asarray(step.humans, dtype=float)
         predicted = [
             (MODELS.index(rung), known[owner], path)
             for rung, owner, path in zip(
@@ -115,7 +114,8 @@ class RoadViewer(Viewer):
         """
         width, height = self.picture.get_size()
         pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
-        text, place = f"{self.env.vehicle.speed:.1f} m/s", GAP
+        text = f"{self.env.vehicle.speed:.1f} m/s"
+        place = GAP
         if step is not None:
             cars = dict.fromkeys(
                 zip(step.models, np.asarray(step.owners).tolist(), strict=True)

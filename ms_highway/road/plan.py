@@ -134,7 +134,8 @@ def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
         proposed: the proposals, scored with others that keep their speed or follow.
         models: number of the model of each of the others.
     """
-    now, few = proposed.now, proposed.few
+    now = proposed.now
+    few = proposed.few
     optimises = (models == TOM) & now.scene.moving
     behaviour = behaviour_of(now, models, WITH_RESPONSES)
     behaviour = behaviour._replace(
@@ -174,7 +175,8 @@ def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> Ea
     """Return the accelerations of the others that optimise their reward under each
     plan; 0 for the rest.
     """
-    scene, planning = now.scene, now.planning
+    scene = now.scene
+    planning = now.planning
 
     def one(car: Places, found: EachStep) -> EachStep:
         response = jax.vmap(

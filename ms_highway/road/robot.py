@@ -72,7 +72,9 @@ def keep_grip(
         grip: largest total acceleration [m/s^2].
     """
     curvature, acceleration = map(float, wanted)
-    most, turn, product = grip * dt, ANY_TURN, 2 * speed * abs(before)
+    most = grip * dt
+    turn = ANY_TURN
+    product = 2 * speed * abs(before)
     if product >= 1e-9:
         turn = float(
             np.arccos(
@@ -88,7 +90,8 @@ def keep_grip(
     most_along = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))
     angle = speed * curvature * dt
     room = sqrt(max(most**2 - (speed * sin(angle)) ** 2, 0.0))
-    slowest, fastest = speed * cos(angle) - room, speed * cos(angle) + room
+    slowest = speed * cos(angle) - room
+    fastest = speed * cos(angle) + room
     lowest = max(-most_along, (max(slowest, 0.0) - speed) / dt, -speed / dt)
     return curvature, min(max(acceleration, lowest), most_along, (fastest - speed) / dt)
 
@@ -134,11 +137,13 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         super().__init__(road, position, heading, speed)
         self.route: Route | None = None
         self.last_step: RoadStep | None = None
-        self.applied, self._wanted = (0.0, 0.0), np.zeros(2)
+        self.applied = (0.0, 0.0)
+        self._wanted = np.zeros(2)
         self._before: complex | None = (
             None  # velocity of the centre in the last frame, slip included
         )
-        self._elapsed, self.frame = np.inf, PERIOD
+        self._elapsed = np.inf
+        self.frame = PERIOD
         self._executed: list[
             complex
         ] = []  # accelerations within the last period, lateral ones as imaginary parts
@@ -192,10 +197,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
                 self.goal.guide(self.driver, self, self.time)
             self.last_step = self.driver.step(self.look())
             self.steps.append(self.last_step)
-            self._wanted, self._elapsed = (
-                np.asarray(self.last_step.control, dtype=float),
-                0.0,
-            )
+            self._wanted = np.asarray(self.last_step.control, dtype=float)
+            self._elapsed = 0.0
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds within the grip; after a crash, move like
@@ -207,7 +210,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             super().step(dt)
             self.actions.append(dict(self.action))
             return
-        speed, now = self.speed, self._along_heading()
+        speed = self.speed
+        now = self._along_heading()
         before = now if self._before is None else self._before
         towards = before * rect(1.0, -self.heading)
         curvature, along = keep_grip(
@@ -221,7 +225,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         super().step(dt)
         self.actions.append(dict(self.action))
         self._before = now * rect(1.0, _slip(curvature, self.LENGTH))
-        self._elapsed, self.frame = self._elapsed + dt, dt
+        self._elapsed = self._elapsed + dt
+        self.frame = dt
         changed = max(abs(self._before - before), abs(self._along_heading() - now))
         executed = complex(along, speed**2 * curvature)
         self.accelerations.append(max(abs(executed), changed / dt))

@@ -85,7 +85,10 @@ class Scores(NamedTuple):
 
 def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
     """Score simulated plans."""
-    lanes, scene, planning, weights = plans.lane, now.scene, now.planning, now.weights
+    lanes = plans.lane
+    scene = now.scene
+    planning = now.planning
+    weights = now.weights
     desired = planning.desired_speed
     s, d, _, speed = jnp.moveaxis(driven.states, -1, 0)
     goal = lane_of(scene.lanes, lanes, s)
@@ -123,10 +126,8 @@ def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
         jnp.moveaxis(driven.controls, -1, 0),
     )
     squared = earlier(scene.robot[3], driven.states[..., 3]) ** 2
-    lateral, bend = (
-        squared * curvature,
-        interpolate(scene.route.curvature, driven.states[..., 0]),
-    )
+    lateral = squared * curvature
+    bend = interpolate(scene.route.curvature, driven.states[..., 0])
     before = (
         earlier(scene.robot[3] ** 2 * scene.applied[0], lateral),
         earlier(scene.applied[1], acceleration),
@@ -169,18 +170,17 @@ def _collisions(
     plan again. The speed of an impact is the highest relative speed when bodies first
     touch.
     """
-    scene, planning, weights, speeds = (
-        now.scene,
-        now.planning,
-        now.weights,
-        driven.speeds,
-    )
+    scene = now.scene
+    planning = now.planning
+    weights = now.weights
+    speeds = driven.speeds
     dt, steps, (s, d, _, speed) = (
         planning.time_step,
         jnp.arange(planning.steps),
         driven.robot,
     )
-    own, others = _pose(driven.path[:, None]), _pose(driven.world)
+    own = _pose(driven.path[:, None])
+    others = _pose(driven.world)
     # A follower in the robot's lane is ignored as long as both keep this lane, even if
     # it runs into the robot.
     behind = driven.s[..., :1] < s[..., :1] - 1.0
@@ -243,7 +243,8 @@ def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
     Their time of arrival is uncertain, since they may brake or speed up; their present
     position is known.
     """
-    weights, times = now.weights, now.planning.times
+    weights = now.weights
+    times = now.planning.times
     early = jnp.minimum(
         weights.arrival_error * driven.speeds + 0.5,
         weights.acceleration_error * times**2 / 2,
@@ -276,12 +277,13 @@ def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
     the plan. Oncoming cars in the robot's lane count in
     `ms_highway.road.terminal_value.speed_lost`.
     """
-    scene, weights, ways, end = now.scene, now.weights, now.crossings, driven.end
+    scene = now.scene
+    weights = now.weights
+    ways = now.crossings
+    end = driven.end
     s, d, _, speed = driven.robot[..., -1]
-    rear, front = (
-        s[..., None] - weights.clearance,
-        s[..., None] + scene.size[0] + weights.clearance,
-    )
+    rear = s[..., None] - weights.clearance
+    front = s[..., None] + scene.size[0] + weights.clearance
     across = jnp.abs(ways.d - d[..., None]) < weights.corridor
     here = across & (ways.s > rear) & (ways.s < front)
     leaving = (highest(ways.s, across) + weights.clearance - s) / (speed + 1.0)

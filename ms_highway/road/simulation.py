@@ -88,8 +88,10 @@ class DrivenPlans(NamedTuple):
 
 def simulate(now: Situation, behaviour: Behaviour, plans: Profiles) -> DrivenPlans:
     """Simulate plans among others that respond to each of them."""
-    scene, planning = now.scene, now.planning
-    across, traffic = aside(scene, planning.times), along_paths(scene)
+    scene = now.scene
+    planning = now.planning
+    across = aside(scene, planning.times)
+    traffic = along_paths(scene)
 
     def one(plan: Profiles, accelerations: EachStep) -> tuple:
         def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
@@ -159,10 +161,14 @@ def _control(
     speeds: Traffic,
 ) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene, planning, crossings = now.scene, now.planning, now.crossings
+    scene = now.scene
+    planning = now.planning
+    crossings = now.crossings
     s, d, heading, speed = car
-    onward, front = speeds * where[2], s + scene.size[0]
-    ahead, apart = where[0] - (s + scene.size[0] / 2), scene.reach[:, 1] + ROOM
+    onward = speeds * where[2]
+    front = s + scene.size[0]
+    ahead = where[0] - (s + scene.size[0] / 2)
+    apart = scene.reach[:, 1] + ROOM
     target = target_of(now, plan, s)
 
     # If others come towards the robot in its lane, wait before changing lanes: plans
@@ -308,7 +314,8 @@ def bodies(scene: RoadScene, states: States) -> Pose:
     ahead of its rear axle.
     """
     x, y, along = scene.route.place(states[..., 0], states[..., 1])
-    heading, half = along + states[..., 2], scene.size[0] / 2
+    heading = along + states[..., 2]
+    half = scene.size[0] / 2
     return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
 
 

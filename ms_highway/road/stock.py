@@ -91,7 +91,8 @@ def success(env: Any) -> bool | None:
     success.
     """
     env = env.unwrapped
-    vehicles, road = env.controlled_vehicles, env.vehicle.lane_index[:2]
+    vehicles = env.controlled_vehicles
+    road = env.vehicle.lane_index[:2]
     if isinstance(env, GoalEnv):
         there = env.success
     elif isinstance(env, ExitEnv):
@@ -140,8 +141,11 @@ def replace_ego(
     env = env.unwrapped
     old = env.controlled_vehicles[number]
     new = make(old)
-    new.position, new.heading, new.speed = old.position.copy(), old.heading, old.speed
-    new.crashed, new.impact = old.crashed, old.impact
+    new.position = old.position.copy()
+    new.heading = old.heading
+    new.speed = old.speed
+    new.crashed = old.crashed
+    new.impact = old.impact
     for name in vars(old).keys() & KEPT:
         setattr(new, name, getattr(old, name))
     if getattr(new, "color", None) is None:
@@ -170,7 +174,5 @@ def restore_traffic() -> None:
     """
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = STANDSTILL
-        IDMVehicle.COMFORT_ACC_MAX, IDMVehicle.COMFORT_ACC_MIN = (
-            MAX_ACCELERATION,
-            -COMFORTABLE_BRAKING,
-        )
+        IDMVehicle.COMFORT_ACC_MAX = MAX_ACCELERATION
+        IDMVehicle.COMFORT_ACC_MIN = -COMFORTABLE_BRAKING

@@ -67,7 +67,9 @@ def urgency(now: Situation) -> Numbers:
     """Return the number of lane changes that the goal asks for from each of three
     lanes, discounted by spare room.
     """
-    scene, weights, left = now.scene, now.weights, jnp.abs(now.scene.changes)
+    scene = now.scene
+    weights = now.weights
+    left = jnp.abs(now.scene.changes)
     needed = (
         left
         * jnp.maximum(scene.robot[3], weights.change_speed)
@@ -97,7 +99,8 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
         now.weights,
         driven.robot,
     )
-    reach, apart = scene.reach[:, 0], scene.reach[:, 1] + weights.lateral_clearance
+    reach = scene.reach[:, 0]
+    apart = scene.reach[:, 1] + weights.lateral_clearance
     gap = driven.s - s - scene.size[0] / 2
     led = (
         (gap > 0)
@@ -117,14 +120,10 @@ def missing_room(now: Situation, driven: DrivenPlans, target: Plans) -> EachCar:
         & scene.present
     )
     near = jnp.abs(end.s[:, :, None] - end.s[:, None]) < weights.merge_range
-    beside, middle = (
-        jnp.where((joins[:, None] & near).any(axis=-1), LANE, 0.0),
-        s + scene.size[0] / 2,
-    )
-    low, high = (
-        jnp.minimum(target[:, None], d) - apart - beside,
-        jnp.maximum(target[:, None], d) + apart + beside,
-    )
+    beside = jnp.where((joins[:, None] & near).any(axis=-1), LANE, 0.0)
+    middle = s + scene.size[0] / 2
+    low = jnp.minimum(target[:, None], d) - apart - beside
+    high = jnp.maximum(target[:, None], d) + apart + beside
     front = (end.s > middle) & (end.d > low) & (end.d < high) & scene.present
     onward = end.speeds * end.cosine
     counts = (
@@ -156,20 +155,14 @@ def speed_lost(
         driven: the plans.
         lanes: in which the plans end, 0 to 2.
     """
-    scene, weights, fastest = (
-        now.scene,
-        now.weights,
-        jnp.asarray(now.planning.desired_speed, float),
-    )
-    s, speed, step = (
-        driven.states[:, -1, 0] + scene.size[0] / 2,
-        driven.states[:, -1, 3],
-        fastest / (SPEEDS - 1),
-    )
-    place, pace = (
-        jnp.clip(s / step, 0.0, PLACES - 1.01),
-        jnp.clip(speed / step, 0.0, SPEEDS - 1.01),
-    )
+    scene = now.scene
+    weights = now.weights
+    fastest = jnp.asarray(now.planning.desired_speed, float)
+    s = driven.states[:, -1, 0] + scene.size[0] / 2
+    speed = driven.states[:, -1, 3]
+    step = fastest / (SPEEDS - 1)
+    place = jnp.clip(s / step, 0.0, PLACES - 1.01)
+    pace = jnp.clip(speed / step, 0.0, SPEEDS - 1.01)
     lost = -map_coordinates(
         _values(now, driven, step), [lanes + LANES_BESIDE - 1, place, pace], order=1
     )
@@ -206,15 +199,19 @@ def _values(now: Situation, driven: DrivenPlans, step: Scalar) -> Values:
     Places are as far apart as a step of speed leads in a second, so that the robot
     moves from place to place.
     """
-    scene, weights, fastest = now.scene, now.weights, now.planning.desired_speed
-    places, speeds = step * jnp.arange(PLACES), step * jnp.arange(SPEEDS)
+    scene = now.scene
+    weights = now.weights
+    fastest = now.planning.desired_speed
+    places = step * jnp.arange(PLACES)
+    speeds = step * jnp.arange(SPEEDS)
     centres = LANE * jnp.arange(-LANES_BESIDE, LANES_BESIDE + 1.0)
     left, right = interpolate(scene.edges, places)
     there = (centres[:, None] > left + LANE / 4) & (centres[:, None] < right - LANE / 4)
     there = there.at[LANES_BESIDE].set(True)
     traffic = _others_after(now, driven, jnp.tile(centres, (len(driven.s), 1)))
     s, onward, inside = (jnp.median(field, axis=0) for field in traffic)
-    reach, seconds = scene.reach[:, 0], jnp.arange(weights.horizon + 1)
+    reach = scene.reach[:, 0]
+    seconds = jnp.arange(weights.horizon + 1)
     ahead = (s + onward * seconds[:, None])[:, None, None] - places[
         :, None
     ]  # [seconds, 1, places, traffic]

@@ -49,7 +49,8 @@ class TimedGoal:
         spot is behind it.
         """
         roads = road_map(vehicle.road.network)
-        own, passed = roads.lanes[vehicle.lane_index], 0.0
+        own = roads.lanes[vehicle.lane_index]
+        passed = 0.0
         for lane in islice(roads.goal(self.spot).onward(own), MAX_ROADS):
             if lane.index[:2] == self.spot.lane[:2]:
                 passed += float(lane.shape.local_coordinates(self.position)[0])
@@ -73,7 +74,8 @@ class TimedGoal:
             vehicle: drives to the spot.
             now: the time [s].
         """
-        left, speed = self.distance(vehicle), float(vehicle.speed)
+        left = self.distance(vehicle)
+        speed = float(vehicle.speed)
         if left <= 0 and now > self.times[0]:
             return max(speed, MIN_SPEED)
         within = min(SPEED_MARGIN, (self.speeds[1] - self.speeds[0]) / 2)
@@ -88,7 +90,8 @@ class TimedGoal:
         if max(first, soonest) <= min(
             last, latest
         ):  # there is a time with an allowed speed
-            first, last = max(first, soonest), min(last, latest)
+            first = max(first, soonest)
+            last = min(last, latest)
         spare = min((last - first) / 2, TIME_MARGIN)
         time = min(max(left / max(speed, MIN_SPEED), first + spare), last - spare)
         acceleration = 2 * (left - speed * time) / time**2
@@ -113,7 +116,8 @@ class TimedGoal:
             vehicle: drives to the spot.
             now: the time [s].
         """
-        planning, weights = driver.planning, RoadWeights()
+        planning = driver.planning
+        weights = RoadWeights()
         rest = (
             self.times[1] - now - planning.steps * float(planning.time_step)
         ) / weights.horizon

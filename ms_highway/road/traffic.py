@@ -26,12 +26,15 @@ from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 STANDING_SPEED = 1.0
 """Speed below which a car counts as standing [m/s]."""
 
-ROOM, WAITING = 0.4, 0.8
+ROOM = 0.4
+WAITING = 0.8
 """Distance between bodies that pass each other, and between the waiting robot and
 crossing cars [m].
 """
 
-SHARING, SAME_WAY, CROSSING = 0.85, 0.8, 0.5
+SHARING = 0.85
+SAME_WAY = 0.8
+CROSSING = 0.5
 """Cosines of the angle between a car's path and the robot's route from which the car
 shares the lane, goes the same way, and is no crossing car.
 """

@@ -43,11 +43,9 @@ class Compiled:
     def __init__(
         self, function: Callable[..., Any], options: Mapping[str, Hashable]
     ) -> None:
-        self._function, self._options, self._compiled = (
-            function,
-            options,
-            dict[str, jax.stages.Wrapped](),
-        )
+        self._function = function
+        self._options = options
+        self._compiled = dict[str, jax.stages.Wrapped]()
         update_wrapper(self, function)
 
     def of(self, *arguments: Any) -> jax.stages.Wrapped:
@@ -88,7 +86,8 @@ class Placed:
     """
 
     def __init__(self, tree: Any) -> None:
-        self.tree, self._taken = tree, 0
+        self.tree = tree
+        self._taken = 0
 
     def take(self) -> Any:
         """Return the numbers for one computation."""
@@ -224,12 +223,14 @@ def share_among(
         A pytree of NumPy arrays [n, ...].
     """
     refuse_after_fork()
-    count, free = len(jax.tree.leaves(items)[0]), SimpleQueue[jax.Device]()
+    count = len(jax.tree.leaves(items)[0])
+    free = SimpleQueue[jax.Device]()
     for device in devices:
         free.put(device)
 
     def compute(first: int) -> Any:
-        places, device = np.arange(first, first + chunk).clip(max=count - 1), free.get()
+        places = np.arange(first, first + chunk).clip(max=count - 1)
+        device = free.get()
         try:
             with single_precision():
                 own = jax.tree.map(lambda part: np.asarray(part)[places], items)

@@ -133,7 +133,8 @@ class BicycleVehicle(Vehicle):
             )
         x, y, heading, speed = step(dynamics, self.state, self.control)
         self.position = np.array([x, y])
-        self.heading, self.speed = float(heading), float(speed)
+        self.heading = float(heading)
+        self.speed = float(speed)
         if self.impact is not None:
             self.position += self.impact
             self.crashed = True
@@ -185,5 +186,6 @@ class RoutedVehicle(ScriptedVehicle):
             return
         x, y, heading, speed = self.states[self.place].tolist()
         self.position = np.array([x, y])
-        self.heading, self.speed = heading, speed
+        self.heading = heading
+        self.speed = speed
         self.on_state_update()

@@ -113,7 +113,8 @@ def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
         others["kind"].isin(fixed_order_types()) & (others["kind"] != "fixed")
     ]
     figure = Figure(figsize=(7, 4.4))
-    axes, label = figure.subplots(), "best order of each start"
+    axes = figure.subplots()
+    label = "best order of each start"
     axes.plot(
         orders["counted_ms"],
         orders["reward"],
@@ -212,7 +213,8 @@ def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
 
 def episode_count(rows: pd.DataFrame) -> str:
     """Return the number of episodes of each row of a summary, as text for titles."""
-    least, most = rows["episodes"].min(), rows["episodes"].max()
+    least = rows["episodes"].min()
+    most = rows["episodes"].max()
     return f"{most if least == most else f'{least} to {most}'} episodes per controller"
 
 
@@ -477,7 +479,9 @@ def decisions(
     )
     shown = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first, steps, rewards = episode.iloc[0], episode["step"], episode["reward"]
+        first = episode.iloc[0]
+        steps = episode["step"]
+        rewards = episode["reward"]
         name = short(first["controller"])
         upper.set_title(
             f"{title(first['scenario'])}, {name}, seed {first['seed']}",

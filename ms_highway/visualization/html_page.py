@@ -41,7 +41,8 @@ def page(
         ImportError: for videos without the packages of the extra ``video``.
         ValueError: if episodes cannot be run again under the settings of the results.
     """
-    sections, summaries = [], results.summaries
+    sections = []
+    summaries = results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
         contents = drawn(figures(results.records, summaries, scenario))

@@ -146,13 +146,12 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
             "no driver was recorded for 8 s on end; there are no paths to be drawn"
         )
     one = replace(snapshots, predicted=whole).of(np.arange(len(snapshots)) == most)
-    start, lanes, width = (
-        one.drivers(one.now)[:, None, :2],
-        np.unique(one.lanes),
-        float(one.lane_width[0]),
-    )
+    start = one.drivers(one.now)[:, None, :2]
+    lanes = np.unique(one.lanes)
+    width = float(one.lane_width[0])
     figure = Figure(figsize=(11, 6))
-    axes, paths = figure.subplots(), {"recorded": one.recorded}
+    axes = figure.subplots()
+    paths = {"recorded": one.recorded}
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
         axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
     for name in DRAWN:
@@ -201,7 +200,8 @@ def learned_tables(
     """
     values = {**learned.weights, "temperature": learned.temperature}
     values |= {"tails": learned.tails} if learned.tails else {}
-    counts, true = learned.feature_counts, true or {}
+    counts = learned.feature_counts
+    true = true or {}
     rows = []
     for name, value in values.items():
         row = {"weight": name, "value": value, "true": true.get(name)}

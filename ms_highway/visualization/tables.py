@@ -297,7 +297,8 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
 
 def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
     """Return a table of the figures of ``bench --json`` in a scenario, by controller."""
-    forms, title = dict(SPEED), f"{scenario}: medians, on one core"
+    forms = dict(SPEED)
+    title = f"{scenario}: medians, on one core"
     for one in measured.values():
         if "batch" in one:
             forms |= {

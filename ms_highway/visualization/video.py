@@ -142,7 +142,7 @@ def encoded(
 def _imageio() -> Any:
     """Return the library that writes .mp4 files."""
     with needing("video"):
-        import av
+        import av  # noqa: F401
         import imageio.v3 as imageio
     return imageio
 
@@ -201,12 +201,16 @@ def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
     """Return the heading and the picture of a film at a place; ``longest`` [s] is the
     full length of the bar.
     """
-    picture, records = film.pictures[place], film.records[: place + 1]
-    width, middle = picture.shape[1], (HEADING_HEIGHT - BAR_HEIGHT) // 2
-    surface, end = pygame.Surface((width, HEADING_HEIGHT)), 0.0
+    picture = film.pictures[place]
+    records = film.records[: place + 1]
+    width = picture.shape[1]
+    middle = (HEADING_HEIGHT - BAR_HEIGHT) // 2
+    surface = pygame.Surface((width, HEADING_HEIGHT))
+    end = 0.0
     surface.fill(INK)
     for record in records:
-        start, end = end, end + _seconds(record) / longest * width
+        start = end
+        end = end + _seconds(record) / longest * width
         bar = (
             round(start),
             HEADING_HEIGHT - BAR_HEIGHT,
@@ -216,10 +220,8 @@ def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
         surface.fill(model_color(record["model"]), bar)
     name = words(film.controller, NAME_SIZE, PAPER)
     surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
-    reward, taken = (
-        np.mean([record["reward"] for record in records]),
-        sum(map(_seconds, records)),
-    )
+    reward = np.mean([record["reward"] for record in records])
+    taken = sum(map(_seconds, records))
     numbers = words(
         f"reward per step {reward:+.2f}      computing {1e3 * taken:.1f} ms",
         NUMBERS_SIZE,

@@ -58,7 +58,8 @@ if __name__ == "__main__":
     ]
     seen, done = map(np.concatenate, zip(*data[:-HELD_OUT], strict=True))
     new, truth = map(np.concatenate, zip(*data[-HELD_OUT:], strict=True))
-    random, optimizer = np.random.default_rng(0), optax.adam(3e-3)
+    random = np.random.default_rng(0)
+    optimizer = optax.adam(3e-3)
     layers = [
         (random.normal(size=(n, m)) / n**0.5, np.zeros(m))
         for n, m in ((SEEN, 32), (32, 2))
@@ -78,7 +79,8 @@ if __name__ == "__main__":
         f"off by {clone:.2f} in episodes that it has not seen; the mean action by"
         f" {mean:.2f}"
     )
-    env, ends = gym.make("highway-fast-v0", config=CONFIG), [False]
+    env = gym.make("highway-fast-v0", config=CONFIG)
+    ends = [False]
     observation, _ = env.reset(seed=100)
     while not any(ends):
         observation, _, *ends, info = env.step(

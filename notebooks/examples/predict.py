@@ -15,7 +15,9 @@ import numpy as np
 
 import ms_highway
 
-LANES, SECONDS, FREQUENCY = (0.0, 4.0, 8.0), 3, 10
+LANES = (0.0, 4.0, 8.0)
+SECONDS = 3
+FREQUENCY = 10
 
 env = gym.make(
     "highway-v0",

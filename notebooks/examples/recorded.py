@@ -25,9 +25,11 @@ env = RecordVideo(
 )  # the road moves at 10 Hz
 
 env.reset(seed=0)
-done, largest = False, 0.0
+done = False
+largest = 0.0
 while not done:
     _, reward, terminated, truncated, info = env.step(None)  # the robot drives itself
-    done, largest = terminated or truncated, max(largest, info["road"]["acceleration"])
+    done = terminated or truncated
+    largest = max(largest, info["road"]["acceleration"])
 env.close()
 print(f"{info['recorded']}, at most {largest:.1f} m/s^2")

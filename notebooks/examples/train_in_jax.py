@@ -28,8 +28,13 @@ from ms_highway.envs import environment_id
 from ms_highway.experiments.batch import simulated
 from ms_highway.experiments.comparison import Comparison
 
-DISCOUNT, TRACE, CLIP, ENTROPY = 0.97, 0.9, 0.2, 0.01
-EPOCHS, BATCHES, HIDDEN = 6, 8, 64
+DISCOUNT = 0.97
+TRACE = 0.9
+CLIP = 0.2
+ENTROPY = 0.01
+EPOCHS = 6
+BATCHES = 8
+HIDDEN = 64
 SCALE = 0.1  # of rewards, so that values are about 1
 
 
@@ -109,7 +114,8 @@ def train(env, updates, steps, optimiser, seed=0):
         "policy": layers(keys[0], [*sizes, heads[0] * heads[1]]),
         "value": layers(keys[1], [*sizes, 1]),
     }
-    state, key = optimiser.init(parameters), keys[2]
+    state = optimiser.init(parameters)
+    key = keys[2]
 
     @jax.jit
     def choose(parameters, observations, key):
@@ -142,7 +148,8 @@ def train(env, updates, steps, optimiser, seed=0):
             update, (parameters, state), orders.reshape(EPOCHS * BATCHES, -1)
         )[0]
 
-    observations, start = flatten(env.reset(seed=seed)[0]), perf_counter()
+    observations = flatten(env.reset(seed=seed)[0])
+    start = perf_counter()
     for number in range(updates):
         rollout = []
         for _ in range(steps):
@@ -183,10 +190,15 @@ def flatten(observations):
 
 def judge(env, choose, seed):
     """Return the mean reward per step of a whole episode in every environment."""
-    seen, total, count, done = env.reset(seed=seed)[0], 0.0, 0, False
+    seen = env.reset(seed=seed)[0]
+    total = 0.0
+    count = 0
+    done = False
     while not done:
         seen, rewards, _, truncated, _ = env.step(choose(seen))
-        total, count, done = total + rewards.mean(), count + 1, truncated.all()
+        total = total + rewards.mean()
+        count = count + 1
+        done = truncated.all()
     return total / count
 
 

@@ -13,7 +13,7 @@ steps; actions and observations are each environment's own. Writes
 import argparse
 from pathlib import Path
 
-import highway_env
+import highway_env  # noqa: F401
 import torch
 from stable_baselines3 import DQN, PPO
 from stable_baselines3.common.env_util import make_vec_env

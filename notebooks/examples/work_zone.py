@@ -80,7 +80,8 @@ class WorkZoneEnv(AbstractEnv):
         robot.drive_with(
             Driver(GAME, Switching(COSTS, self.config["lambda"], LADDER)), humans
         )  # partner first
-        self.road.vehicles, self.controlled_vehicles = [robot, *humans], [robot]
+        self.road.vehicles = [robot, *humans]
+        self.controlled_vehicles = [robot]
 
     def _reward(self, action):
         return self.vehicle.speed / 20 - self.vehicle.crashed

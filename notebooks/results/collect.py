@@ -62,7 +62,8 @@ PHYSICAL = {  # in the project's README
     "give-way-v1": ["naive", "tom", "learned:1", "switching:0.1"],
     "stay-back-v1": ["naive", "turn", "tom", "learned:1", "switching:0.1"],
 }
-REWARD, COLLISIONS = "reward per step (90 % interval)", "episodes with a collision"
+REWARD = "reward per step (90 % interval)"
+COLLISIONS = "episodes with a collision"
 SHOWN_COLUMNS = [REWARD, "plan ms", COLLISIONS]
 SEVERAL_COLUMNS = [
     "scenario",
@@ -100,7 +101,8 @@ def collect(results: Path) -> None:
     of results.
     """
     for name in TABLES:
-        kept, parts = _texts(KEPT / f"{name}.csv"), []
+        kept = _texts(KEPT / f"{name}.csv")
+        parts = []
         for run in RUNS:
             file = results / run / f"{name}.csv"
             parts.append(

@@ -59,7 +59,9 @@ def test_only_an_ego_that_keeps_its_lane_and_is_rear_ended_is_not_at_fault(
 
 
 def test_acceleration_and_jerk_on_a_circle_are_those_of_turning():
-    angle, radius, speed = 0.5 * np.arange(50) / 15, 20.0, 10.0
+    angle = 0.5 * np.arange(50) / 15
+    radius = 20.0
+    speed = 10.0
     states = np.stack(
         [radius * np.sin(angle), -radius * np.cos(angle), angle, np.full(50, speed)],
         axis=-1,
@@ -103,7 +105,8 @@ def test_an_episode_that_ends_because_the_ego_leaves_the_road_is_no_success():
 def test_the_command_writes_figures_episodes_and_films_of_every_driver(
     tmp_path, capsys
 ):
-    file, log = tmp_path / "road.json", tmp_path / "road.csv"
+    file = tmp_path / "road.json"
+    log = tmp_path / "road.csv"
     command = (
         "bench road merge-v0 --drivers idm fixed:naive --seeds 2 --seed 5 --json"
         f" {file} --log {log}"
@@ -134,7 +137,8 @@ def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_a
     )
     (start,) = starts_of(tmp_path, "problem")
     episode = run_episode(Block(RECORDED, "idm", "idm", (start,), tmp_path), 0)
-    file, last = tmp_path / "idm" / "idm" / start.name, episode["steps"]
+    file = tmp_path / "idm" / "idm" / start.name
+    last = episode["steps"]
     scenario, problems = XMLFileReader(f"{file}.xml").open()
     assert list(problems.planning_problem_dict) == [7]
     assert len(scenario.lanelet_network.lanelets) == 4

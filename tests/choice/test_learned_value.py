@@ -22,14 +22,13 @@ SHIPPED = load_values("shipped")
 
 def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans_nor_whole_turns_of_headings():
     scenario = SCENARIOS["dense_merge"]
-    game, small = build_game(scenario), build_game(scenario, unit=1.0)
+    game = build_game(scenario)
+    small = build_game(scenario, unit=1.0)
     everyone = np.arange(8)
     start, _ = draw_episode(scenario, np.random.default_rng(1), small.humans)
     start[:, 2] += 0.02
-    metres, far = (
-        start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT],
-        np.array([50.0, 0, 0, 0]),
-    )
+    metres = start * [PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT]
+    far = np.array([50.0, 0, 0, 0])
     described = describe_quickly(game, metres, everyone)
     assert described.shape == (8, len(description_names()))
     np.testing.assert_allclose(

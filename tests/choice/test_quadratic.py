@@ -82,7 +82,8 @@ def test_gains_do_not_depend_on_the_unit_of_length(played):
 def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switches_to_it_for_a_gain(
     played,
 ):
-    memory, checked = on(2), []
+    memory = on(2)
+    checked = []
     for _ in range(8):
         decision = decided(
             made(0.0), played, memory, reward=100.0
@@ -104,7 +105,8 @@ def test_the_expansion_has_the_derivatives_of_both_rewards_over_the_whole_plan(p
 
     @jit_quickly
     def derivatives(both):
-        slopes, bends = jax.jacobian(rewards)(both), jax.hessian(rewards)(both)
+        slopes = jax.jacobian(rewards)(both)
+        bends = jax.hessian(rewards)(both)
         human_bend = bends[1, 10:, 10:] - jnp.diag(
             jnp.tile(jnp.asarray(game.humans.comfort), 5)
         )

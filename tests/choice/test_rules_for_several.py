@@ -178,7 +178,8 @@ def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highes
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
-    certain, doubtful = over_naive((0.0, 0.1)), over_naive((0.0, 0.1), doubt=1.0)
+    certain = over_naive((0.0, 0.1))
+    doubtful = over_naive((0.0, 0.1), doubt=1.0)
     assert chosen(certain, game) == [*TOM * NEAREST_FOUR]
     for decision, failed in (
         (decided(doubtful, game), False),

@@ -31,7 +31,8 @@ def best_value(quadratic, linear):
     multiplier.
     """
     values, vectors = np.linalg.eigh(quadratic)
-    along, least = (vectors.T @ linear) ** 2, max(0.0, values[-1])
+    along = (vectors.T @ linear) ** 2
+    least = max(0.0, values[-1])
 
     def dual(logarithm):
         multiplier = least + np.exp(logarithm)
@@ -60,7 +61,8 @@ def test_the_trust_region_step_is_optimal(dimensions, tolerance):
 
 
 def test_a_tolerance_stops_the_trust_region_step_near_the_radius():
-    quadratic, linear = np.float32([[-0.1, 0.02], [0.02, -0.2]]), np.float32([0.4, 0.3])
+    quadratic = np.float32([[-0.1, 0.02], [0.02, -0.2]])
+    linear = np.float32([0.4, 0.3])
     assert (
         0.95 * RADIUS
         <= np.linalg.norm(solve(quadratic, linear, RADIUS, 0.05))

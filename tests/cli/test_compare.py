@@ -115,11 +115,9 @@ def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(
     tmp_path,
 ):
     """No episode is lost or repeated, and no process is left behind."""
-    asked, alone, killed = (
-        Comparison({"merger": ["naive", "turn"]}, 40),
-        tmp_path / "1",
-        tmp_path / "2",
-    )
+    asked = Comparison({"merger": ["naive", "turn"]}, 40)
+    alone = tmp_path / "1"
+    killed = tmp_path / "2"
     assert list(run_comparison(asked, alone)) == list(range(81))
     words = f"compare merger --controllers naive turn --seeds 40 --out {killed}"
     process = subprocess.Popen([sys.executable, "-m", "ms_highway", *words.split()])
@@ -140,7 +138,8 @@ def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(
 
 
 def test_compare_resumes_from_steps_and_parts(compared, begun):
-    steps, parts = begun / "steps.csv", begun / "parts"
+    steps = begun / "steps.csv"
+    parts = begun / "parts"
     head, *lines = steps.read_text().splitlines(keepends=True)
     steps.write_text("".join([head, *lines[:35]]))
     parts.mkdir()
@@ -382,7 +381,8 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
 def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
     compared, begun, capsys
 ):
-    steps, out = begun / "steps.csv", begun / "pages" / "small.html"
+    steps = begun / "steps.csv"
+    out = begun / "pages" / "small.html"
     pd.read_csv(steps).query("controller == 'naive' and seed == 0").to_csv(
         steps, index=False
     )

@@ -57,7 +57,8 @@ from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.planning.ladders import BEST, MODELS
 from ms_highway.runtime.names import PACKAGE_NAMES
 
-PAIR, SEVERAL = "merger", "dense_merge"
+PAIR = "merger"
+SEVERAL = "dense_merge"
 NAIVE = {"type": "fixed", "model": "naive"}
 WRONG = [
     ([], "the configuration is []; it must be a dictionary"),
@@ -255,7 +256,8 @@ def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(options, message):
     env = make(PAIR).unwrapped
     env.reset()
     env.step(0)
-    cars, config = env.car_states, dict(env.config)
+    cars = env.car_states
+    config = dict(env.config)
     with pytest.raises(ValueError, match=message):
         env.reset(options=options)
     np.testing.assert_array_equal(env.car_states, cars)

@@ -49,10 +49,8 @@ def test_copies_of_a_rendered_environment_drive_alike_and_can_be_rendered(name):
     env.action_space.seed(0)
     for _ in range(4):
         env.render()
-        copies, action = (
-            [env, deepcopy(env), loads(dumps(env))],
-            env.action_space.sample(),
-        )
+        copies = [env, deepcopy(env), loads(dumps(env))]
+        action = env.action_space.sample()
         seen = [each.step(action)[0] for each in copies]
         np.testing.assert_array_equal(seen[1:], [seen[0]] * 2)
         states = [states_of(each.unwrapped.road.vehicles) for each in copies]

@@ -116,10 +116,8 @@ def test_an_impossible_action_is_refused_before_anything_moves(
 def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_it(
     turned,
 ):
-    copy, controls = (
-        make("merger", action=ACTION),
-        [info["control"] for info in turned.infos],
-    )
+    copy = make("merger", action=ACTION)
+    controls = [info["control"] for info in turned.infos]
     copy.reset(seed=0)
     for control, state in zip(controls, turned.states[1:], strict=True):
         shares = [
@@ -257,7 +255,8 @@ def test_no_observation_tells_whole_turns_of_a_heading(name):
 
 def test_action_spaces_and_frame_rates_are_an_environments_own():
     env = make("merger", action=CHOOSING).unwrapped
-    shared, space = dict(type(env).metadata), env.action_space
+    shared = dict(type(env).metadata)
+    space = env.action_space
     space.seed(5)
     env.reset(seed=0)
     assert env.action_space is space  # and keeps its seed
@@ -275,7 +274,8 @@ def weights_of(game):
 
 
 def test_given_weights_change_the_human_and_the_robots_models_of_it_alike():
-    own, believed = [], []
+    own = []
+    believed = []
     for reward in ("published", {"speed": 40.0, "lane_alignment": 75.0, "gap": 0.0}):
         env = make("merger", "turn", human_reward=reward)
         starts = [[0, 0, 0, 20.0], [-30, -3.3, 0, 18.0], [-14, -3.3, 0, 20.0]]

@@ -34,7 +34,8 @@ class Remembers:
     """Accelerate by the way of the last six steps, and by chance."""
 
     def reset(self, key):
-        self.places, self.random = [], np.random.default_rng(key)
+        self.places = []
+        self.random = np.random.default_rng(key)
 
     def __call__(self, game, state):
         self.places = [*self.places[-5:], state[0, 0]]
@@ -44,7 +45,7 @@ class Remembers:
         )
 
 
-def leaks(game, state, places=[]):
+def leaks(game, state, places=[]):  # noqa: B006
     """Remember the last six steps, also those of the episode before."""
     places[:] = [*places[-5:], state[0, 0]]
     return keep_velocity(game.world, state[0]) + np.array(
@@ -56,7 +57,7 @@ def draws(game, state):
     return [0.0, np.random.default_rng().normal()]
 
 
-def counts(game, state, calls=[0]):
+def counts(game, state, calls=[0]):  # noqa: B006
     calls[0] += 1
     return keep_velocity(game.world, state[0]) + jnp.array([0.0, -0.1 * calls[0]])
 

@@ -32,7 +32,8 @@ def test_gymnasium_makes_the_physical_version_where_none_is_named(name):
 def test_robot_and_human_accelerate_by_no_more_than_tyres_hold_in_any_step():
     _, states, _, infos = drive(make("merger-v1"))
     assert {info["status"] for info in infos} == {"planned"}
-    before, changes = states[:-1, :2], np.diff(states[:, :2], axis=0) / 0.1
+    before = states[:-1, :2]
+    changes = np.diff(states[:, :2], axis=0) / 0.1
     accelerations = np.hypot(
         before[..., 3] * changes[..., 2], changes[..., 3]
     )  # across and along, as tyres feel them
@@ -142,7 +143,8 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
     assert min(success["tom"], success["learned:1"]) >= 0.95
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
     more = means - means.loc["naive"]
-    gained, counted = more["reward"], more["counted_seconds"]
+    gained = more["reward"]
+    counted = more["counted_seconds"]
     assert gained["learned:1"] > 0.95 * gained["tom"]
     assert counted["learned:1"] < 0.2 * counted["tom"]
 

@@ -55,7 +55,8 @@ def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_o
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
-    before, config = dict(os.environ), {"observation": PIXELS}
+    before = dict(os.environ)
+    config = {"observation": PIXELS}
     envs = [
         make("merger", render_mode="rgb_array", **config),
         gym.make("ms-highway/recorded-v0", render_mode="rgb_array"),

@@ -26,10 +26,8 @@ def test_an_agent_that_chooses_a_model_for_each_human_pays_for_their_time():
 
 def test_the_robot_assumes_the_average_reward_of_humans_who_differ():
     inner = make("dense_merge").unwrapped
-    average, believed = (
-        inner.game.humans.weights,
-        inner.robot.controller.game.humans.weights,
-    )
+    average = inner.game.humans.weights
+    believed = inner.robot.controller.game.humans.weights
     np.testing.assert_array_equal(believed, average)
     assert abs(inner.weights - average).max() > 0
 

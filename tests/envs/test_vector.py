@@ -40,14 +40,17 @@ def both(scenario, config, number=3, mode=AutoresetMode.NEXT_STEP):
 )
 def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
     ours, singles = both(scenario, config | {"duration": 2.0})
-    mine, other = ours.reset(seed=5), singles.reset(seed=5)
+    mine = ours.reset(seed=5)
+    other = singles.reset(seed=5)
     np.testing.assert_allclose(mine[0], other[0], atol=1e-5)
-    first, told = form(mine[1]), other[1]
+    first = form(mine[1])
+    told = other[1]
     for name in mine[1]:
         np.testing.assert_array_equal(mine[1][name], told[name], name)
     for _ in range(20):
         actions = ours.action_space.sample()
-        mine, other = ours.step(actions), singles.step(actions)
+        mine = ours.step(actions)
+        other = singles.step(actions)
         assert form(mine[4]) == first
         np.testing.assert_allclose(mine[0], other[0], atol=1e-4)
         np.testing.assert_allclose(mine[1], other[1], atol=2e-3)
@@ -63,7 +66,8 @@ def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
     ours.reset(seed=7), singles.reset(seed=7)
     for _ in range(3):
         actions = np.zeros(2, int)
-        mine, other = ours.step(actions), singles.step(actions)
+        mine = ours.step(actions)
+        other = singles.step(actions)
         np.testing.assert_array_equal(mine[4]["model"], other[4]["model"])
         np.testing.assert_allclose(mine[1], other[1], atol=1e-3)
         states = np.stack(
@@ -75,9 +79,11 @@ def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
 def test_a_robot_that_has_collided_does_not_succeed():
     ours, singles = both("dense-merge-v0", DRIVING)
     ours.reset(seed=0), singles.reset(seed=0)
-    actions, collided = np.tile(np.float32([0.0, -0.3]), (3, 1)), np.zeros(3, bool)
+    actions = np.tile(np.float32([0.0, -0.3]), (3, 1))
+    collided = np.zeros(3, bool)
     for _ in range(20):
-        mine, other = ours.step(actions)[4], singles.step(actions.copy())[4]
+        mine = ours.step(actions)[4]
+        other = singles.step(actions.copy())[4]
         np.testing.assert_array_equal(mine["success"], other["success"])
         collided |= mine["collision"]
     assert mine["success"].tolist() == (~collided).tolist() == [False, False, True]
@@ -108,7 +114,8 @@ def rewards_of_two_steps(scenario):
 
 @pytest.mark.slow
 def test_pure_functions_have_derivatives_in_reverse_mode_only_where_plans_take_a_fixed_number_of_steps():
-    rewards, action = rewards_of_two_steps("merger-v0"), np.float32([0.1, 0.02])
+    rewards = rewards_of_two_steps("merger-v0")
+    action = np.float32([0.1, 0.02])
     shifted = action + 0.01 * np.float32([[1, 0], [-1, 0], [0, 1], [0, -1]])
     earned = jax.jit(jax.vmap(rewards))(shifted)
     for derive in (jax.jacfwd, jax.grad):
@@ -130,7 +137,8 @@ def test_episodes_begin_anew_as_gymnasium_says(mode):
     ours.reset(seed=0), singles.reset(seed=0)
     for _ in range(8):
         actions = 1.5 * ours.action_space.sample()  # both clip them
-        mine, other = ours.step(actions), singles.step(actions.copy())
+        mine = ours.step(actions)
+        other = singles.step(actions.copy())
         for part in range(4):
             np.testing.assert_allclose(mine[part], other[part], atol=1e-3)
         ended = mine[2] | mine[3]
@@ -151,10 +159,8 @@ def test_episodes_begin_anew_as_gymnasium_says(mode):
 
 def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
     config = CHOOSING | {"ladder": ["naive", "idm"]}
-    env, single = (
-        FunctionalEnv("merger-v1", config),
-        gym.make(NAME + "merger-v1", config=config),
-    )
+    env = FunctionalEnv("merger-v1", config)
+    single = gym.make(NAME + "merger-v1", config=config)
     state, seen = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.key(0), 2))
     assert np.abs(seen[0] - seen[1]).max() > 1e-4  # from keys of their own
     observation, _ = single.reset(

@@ -19,7 +19,8 @@ from ms_highway.visualization.tables import table
 class Trained:
     """An agent with the method and the spaces of those that stable-baselines3 loads."""
 
-    action_space, observation_space = spaces.Discrete(2), None
+    action_space = spaces.Discrete(2)
+    observation_space = None
 
     def predict(self, observation, deterministic=False):
         assert deterministic

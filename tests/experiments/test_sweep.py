@@ -38,10 +38,8 @@ def swept(tmp_path_factory):
 
 
 def test_a_sweep_holds_a_row_per_episode_and_per_step_and_summarises_them(swept):
-    episodes, steps = (
-        pd.read_parquet(swept / "episodes"),
-        pd.read_parquet(swept / "steps"),
-    )
+    episodes = pd.read_parquet(swept / "episodes")
+    steps = pd.read_parquet(swept / "steps")
     keys = ["controller", "seed"]
     assert (len(episodes), len(steps)) == (3 * 24, 35 * 3 * 24)
     assert len(list((swept / "episodes").iterdir())) == 5

@@ -64,7 +64,8 @@ def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_value
 
 @pytest.mark.slow
 def test_the_command_learns_values_among_several_humans_that_drive(tmp_path):
-    file, config = tmp_path / "values.npz", "dense_merge --set humans=2 --set horizon=5"
+    file = tmp_path / "values.npz"
+    config = "dense_merge --set humans=2 --set horizon=5"
     run(f"values learn {config} --states 6 --rounds 2 --horizon-steps 5 --out {file}")
     assert list(tmp_path.iterdir()) == [file]
     values = load_values(file)

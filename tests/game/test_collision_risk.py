@@ -44,7 +44,8 @@ def test_the_risk_of_a_collision_is_that_of_its_formula(played):
     """Four cars are near a cone, in any direction. Derivatives are JAX's, see the
     slopes of all features.
     """
-    scene, place = played("stay_back")[0].scene, PAPER_FEATURES.index("collision_risk")
+    scene = played("stay_back")[0].scene
+    place = PAPER_FEATURES.index("collision_risk")
     states = (
         np.random.default_rng(0).normal(0, [3, 3, 1, 2], (6, 4, 4)).astype(np.float32)
     )

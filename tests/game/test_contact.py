@@ -51,7 +51,8 @@ def check(found, bodies, others):
 
 def test_cars_overlap_exactly_where_shapely_says_so():
     random = np.random.default_rng(0)
-    own, other = random_poses(random, 3.0), random_poses(random, 3.0)
+    own = random_poses(random, 3.0)
+    other = random_poses(random, 3.0)
     found = jax.jit(overlap)(ROAD, observe(own), observe(other[None]))
     check(np.asarray(found), map(rectangle, own), map(rectangle, other))
 
@@ -69,9 +70,11 @@ def test_where_cars_overlap_plans_pay():
     both pays.
     """
     random = np.random.default_rng(2)
-    one, two = random_poses(random, 4.0), random_poses(random, 4.0)
+    one = random_poses(random, 4.0)
+    two = random_poses(random, 4.0)
     two[::2, 2] = one[::2, 2] + random.uniform(-1, 1, POSES // 2) * np.radians(7)
-    first, second = observe(one), observe(two)
+    first = observe(one)
+    second = observe(two)
     among_first = jax.tree.map(lambda part: part[None], first)
     among_second = jax.tree.map(lambda part: part[None], second)
 
@@ -113,7 +116,8 @@ def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(
 
 
 def test_the_slope_of_the_cost_matches_finite_differences():
-    random, apart = np.random.default_rng(3), 1e-3
+    random = np.random.default_rng(3)
+    apart = 1e-3
     poses = random.uniform((-6.0, -3.0, -0.3), (6.0, 3.0, 0.3), (50, 3))
     others = observe(np.array([[0.0, 3.0, 0.1, 20.0], [4.0, -3.0, -0.1, 20.0]]))
 

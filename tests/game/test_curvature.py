@@ -53,7 +53,8 @@ FAR = near(np.random.default_rng(0), 500)
 @pytest.mark.parametrize("name", ["speed", "target_lane", "gap"])
 def test_where_a_feature_is_a_square_its_curvature_is_the_second_derivative(name):
     at = LED, linear_reward({name: 70.0}, 20.0), motion(-1.0, 0.05), FAR
-    bent, exact = np.asarray(bends(*at)), np.array(hessian(*at))
+    bent = np.asarray(bends(*at))
+    exact = np.array(hessian(*at))
     assert abs(exact).max() > 1e-3
     if name == "speed":  # the product of speed and cosine counts as linear
         exact[[2, 4], [4, 2]] = bent[[2, 4], [4, 2]]
@@ -62,13 +63,15 @@ def test_where_a_feature_is_a_square_its_curvature_is_the_second_derivative(name
 
 def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
     reward = linear_reward({"collision_risk": -1.0, "collision": -100.0}, 20.0)
-    random, larger = np.random.default_rng(0), []
+    random = np.random.default_rng(0)
+    larger = []
     for _ in range(20):
         own = motion(
             random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66)
         )
         at = LED, reward, own, near(random, 60)
-        bent, exact = np.asarray(bends(*at)), np.asarray(hessian(*at))
+        bent = np.asarray(bends(*at))
+        exact = np.asarray(hessian(*at))
         rounding = 1e-4 * np.abs(bent).max() + 1e-4
         assert np.linalg.eigvalsh(bent - exact)[0] > -rounding
         assert np.linalg.eigvalsh(bent + exact)[0] > -rounding
@@ -82,7 +85,8 @@ def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
 def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero(
     contact,
 ):
-    random, road = np.random.default_rng(0), replace(ROAD, contact=contact)
+    random = np.random.default_rng(0)
+    road = replace(ROAD, contact=contact)
     for _ in range(20):
         own = motion(random.uniform(-7, 4), random.normal(0, 0.2))
         weights = dict(zip(FEATURES, random.normal(0, 100, len(FEATURES)), strict=True))

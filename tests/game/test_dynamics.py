@@ -52,7 +52,8 @@ def test_a_step_of_the_bicycle_is_the_papers_equation():
 def test_recovering_a_control_inverts_a_step_and_a_standing_car_has_no_observable_curvature(
     dynamics,
 ):
-    after, standing = step(dynamics, STATES, CONTROLS[0]), STATES * [1, 1, 1, 0]
+    after = step(dynamics, STATES, CONTROLS[0])
+    standing = STATES * [1, 1, 1, 0]
     assert after.dtype == np.float64
     np.testing.assert_allclose(
         recover_control(dynamics, STATES, after), CONTROLS[0], atol=1e-9
@@ -98,10 +99,8 @@ def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_c
 ):
     """A car that rolls backwards stops."""
     random = np.random.default_rng(0)
-    speed, control = (
-        random.uniform(-0.5, 30, 500),
-        random.normal(0, [0.05, 8], (500, 2)),
-    )
+    speed = random.uniform(-0.5, 30, 500)
+    control = random.normal(0, [0.05, 8], (500, 2))
     bend = 0.02
     held = within_grip(dynamics, 8.0, speed, control, bend)
     after = step(dynamics, speed[:, None] * [0.0, 0.0, 0.0, 1.0], held)

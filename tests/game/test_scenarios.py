@@ -17,10 +17,8 @@ LEARNED = shipped("demonstrations").weights
 
 
 def draws(scenario, humans):
-    random, game = (
-        np.random.default_rng(0),
-        build_game(scenario, humans=humans, human_driving=LEARNED),
-    )
+    random = np.random.default_rng(0)
+    game = build_game(scenario, humans=humans, human_driving=LEARNED)
     return [draw_episode(scenario, random, game.humans) for _ in range(EPISODES)]
 
 
@@ -47,7 +45,8 @@ def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_m
 def test_humans_in_streams_differ_only_in_how_readily_they_yield():
     game = build_game(DENSE_MERGE, human_driving=LEARNED)
     assert game.number == 8
-    believed, risk = game.humans.weights, game.humans.names.index("collision_risk")
+    believed = game.humans.weights
+    risk = game.humans.names.index("collision_risk")
     weights = np.concatenate([weights for _, weights in draws(DENSE_MERGE, 8)])
     expected = np.tile(believed, (EPISODES, 1))
     np.testing.assert_array_equal(

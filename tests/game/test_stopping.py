@@ -23,7 +23,8 @@ LENGTH, TOUCH = (SCENE.car_size + SCENE.obstacle_size) / 2
 WIDTH = TOUCH + LATERAL_MARGIN * CAR_WIDTH  # m, at which an obstacle is out of the way
 SPEED = 20.0
 STOP = CONE[0] - LENGTH - STOPPING_MARGIN * CAR  # m, where a car stands with room
-STEPS, HALF = 20, 9
+STEPS = 20
+HALF = 9
 
 
 def motion(x, y=CONE[1], speed=SPEED):
@@ -112,10 +113,8 @@ def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metre
     """The curvature is that of squares of r, without a jump. At 30 m, the car is
     passing the obstacle.
     """
-    own, others = (
-        np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH)),
-        np.stack(motion(300.0, -3.3))[None],
-    )
+    own = np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH))
+    others = np.stack(motion(300.0, -3.3))[None]
 
     def lateness(change):
         changed = own.copy()

@@ -15,12 +15,10 @@ def polygon(place, size):
 
 @pytest.mark.parametrize("function", [separation, jax.jit(separation)])
 def test_rectangles_are_apart_exactly_where_highway_env_says_so(function):
-    random, number, own, still = (
-        np.random.default_rng(0),
-        300,
-        (0.5, -0.3, 2.0),
-        np.zeros(2),
-    )
+    random = np.random.default_rng(0)
+    number = 300
+    own = (0.5, -0.3, 2.0)
+    still = np.zeros(2)
     others = (
         random.uniform(-6, 6, number),
         random.uniform(-6, 6, number),

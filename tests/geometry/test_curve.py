@@ -3,7 +3,7 @@ also beyond the ends.
 """
 
 import gymnasium as gym
-import highway_env
+import highway_env  # noqa: F401
 import jax
 import numpy as np
 import pytest

@@ -91,10 +91,8 @@ def test_loaded_recordings_are_the_observed_states_and_follow_from_the_actions()
         pedals, wheel = episode.actions.T
         accelerations = np.interp(pedals, [-1, 1], action_type.acceleration_range)
         curvatures = np.tan(wheel * action_type.steering_range[1]) / 5
-        states, controls = (
-            recording.states[:, 0],
-            np.stack([curvatures, accelerations], axis=-1),
-        )
+        states = recording.states[:, 0]
+        controls = np.stack([curvatures, accelerations], axis=-1)
         np.testing.assert_allclose(
             step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5
         )

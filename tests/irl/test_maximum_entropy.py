@@ -69,10 +69,8 @@ def test_the_weights_of_a_demonstrator_are_recovered_and_one_without_information
         pytest.approx(1.0, rel=1e-2),
         pytest.approx(4.0, rel=1e-3),
     )
-    human, expected = (
-        derivatives.features.mean(axis=0),
-        expected_features(demonstrated, found),
-    )
+    human = derivatives.features.mean(axis=0)
+    expected = expected_features(demonstrated, found)
     compared = [name not in ("collision_risk", "off_road") for name in model.names]
     np.testing.assert_allclose(expected[compared], human[compared], rtol=0.1)
 

@@ -104,7 +104,8 @@ def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predic
 
 def test_highway_envs_own_idm_vehicles_are_reproduced():
     cars = (0, 3.0, 0.02, 20), (30, 3.6, 0, 14), (-10, 6.0, 0, 18), (12, 7.0, 0, 12)
-    snapshots, network = snapshot(recorded(*cars, drivers=4), 3), RoadNetwork()
+    snapshots = snapshot(recorded(*cars, drivers=4), 3)
+    network = RoadNetwork()
     for y in LANES:
         network.add_lane(
             "start",
@@ -162,7 +163,8 @@ def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
 
 
 def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
-    random, time = np.random.default_rng(0), 0.1 * np.arange(1, 51)
+    random = np.random.default_rng(0)
+    time = 0.1 * np.arange(1, 51)
     scales = np.stack([0.3 * time**1.5, 0.1 * time], axis=-1)
     positions = (
         random.normal(size=(1000, 50, 2))
@@ -171,10 +173,8 @@ def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
     )
     modes = Modes(np.ones((1000, 1)), np.zeros((1000, 1, 50, 2), np.float32))
     fitted = Mixture(modes, fit_spread(modes, positions))
-    found, freedom = (
-        np.asarray(fitted.spread.scales(1, 50))[0],
-        float(fitted.spread.freedom(50)[-1]),
-    )
+    found = np.asarray(fitted.spread.scales(1, 50))[0]
+    freedom = float(fitted.spread.freedom(50)[-1])
     np.testing.assert_allclose(found[9::10], scales[9::10], rtol=0.15)
     density = stats.multivariate_t.logpdf(
         positions[:, -1], shape=np.diag(found[-1] ** 2), df=freedom
@@ -241,7 +241,8 @@ def test_the_shipped_drivers_know_the_recordings_that_they_were_learned_from(
 
 @pytest.mark.slow
 def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
-    data, theta = tmp_path / "two", tmp_path / "theta.json"
+    data = tmp_path / "two"
+    theta = tmp_path / "theta.json"
     data.mkdir()
     for short in ("8_4", "14_1"):
         (path,) = us101_directory.glob(f"*-{short}_*.xml.gz")

@@ -37,7 +37,8 @@ def error(track):
 
 
 def test_controls_drive_the_car_along_its_track_wherever_it_is():
-    track, far = tracked(STATES), tracked(STATES + np.array([400.0, 17.0, 0, 0]))
+    track = tracked(STATES)
+    far = tracked(STATES + np.array([400.0, 17.0, 0, 0]))
     np.testing.assert_allclose(
         driven(track.states[0], track.controls), track.states, atol=1e-9
     )

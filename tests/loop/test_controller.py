@@ -103,7 +103,8 @@ def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_contin
     moments,
 ):
     game, states = moments
-    controller, steps = Driver(game, SWITCHING), []
+    controller = Driver(game, SWITCHING)
+    steps = []
     for state, budget in zip(states, [None, 0.0, None], strict=False):
         controller.budget = budget
         steps.append(controller.step(state))
@@ -149,9 +150,11 @@ class Reckless(PredictedHuman):
 def test_a_plan_under_a_user_defined_model_keeps_to_the_limits_of_controls_and_to_the_grip_of_tyres(
     played,
 ):
-    limit, grip = np.array([0.05, 6.0]), 8.0
+    limit = np.array([0.05, 6.0])
+    grip = 8.0
     game, state = played("merger", control_limit=tuple(limit), grip=grip)
-    controller, start = fixed(game, Reckless()), np.array(state)
+    controller = fixed(game, Reckless())
+    start = np.array(state)
     for speed in (1.0, 20.0):
         start[0, 3] = speed
         step = controller.step(start)
@@ -262,7 +265,8 @@ def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from
     """A faster human comes from behind; another car is beside the robot."""
     game, state = played("merger")
     (model,) = ladder(("naive+warm",))
-    lane, x = float(game.scene.target_lane), float(state[0, 0])
+    lane = float(game.scene.target_lane)
+    x = float(state[0, 0])
     start = np.array(
         [state[0], [x - 15.0, state[0, 1], 0.0, 30.0], [x, lane, 0.0, 20.0]]
     )
@@ -275,7 +279,8 @@ def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from
     fallback = failing.step(now)
     assert fallback.status == "previous plan"
     np.testing.assert_array_equal(fallback.plan, step.plan[1:])
-    driver.way_out, bold = False, fixed(game, model)
+    driver.way_out = False
+    bold = fixed(game, model)
     assert bold.step(start).status == "planned"
     goes_on = driver.step(now).plan
     np.testing.assert_array_equal(goes_on, bold.step(now).plan)

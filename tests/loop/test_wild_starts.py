@@ -41,7 +41,9 @@ def test_switching_drives_from_wild_starts(played):
         replace(MERGER, cones=STAY_BACK.cones), control_limit=PHYSICAL_LIMIT
     )
     controller = Driver(game, Switching(COSTS, 0.1, LADDER))
-    random, models, estimated = np.random.default_rng(1), set(), set()
+    random = np.random.default_rng(1)
+    models = set()
+    estimated = set()
     for state in wild(normal):
         controller.reset()
         for _ in range(5):
@@ -97,7 +99,8 @@ def test_controls_are_finite_in_any_state_that_single_precision_holds_and_others
     played, semantics
 ):
     game, state = played("merger", semantics=semantics)
-    controller, random = fixed(game), np.random.default_rng(3)
+    controller = fixed(game)
+    random = np.random.default_rng(3)
     for states in absurd_states(300, len(state), 38):
         wild = np.where(random.random(states.shape) < 0.3, states, np.asarray(state))
         controller.reset()

@@ -54,10 +54,8 @@ def climbed(steepness, waves, limit):
             (path - 1.0) ** 2
         )
 
-    hill, start = (
-        objective(reward, lambda path: jnp.full_like(path, 2 * steepness), limit),
-        jnp.full((6, 2), 0.9),
-    )
+    hill = objective(reward, lambda path: jnp.full_like(path, 2 * steepness), limit)
+    start = jnp.full((6, 2), 0.9)
     controls = climb(hill, start, steps=40)
     return controls, hill.earned(controls) - hill.earned(start)
 

@@ -15,7 +15,8 @@ def test_the_exact_response_solves_linear_equations_and_the_damped_one_always_as
         ]
     )
     for _ in range(20):
-        matrix, push = random.normal(0, 3, (5, 5)), random.normal(size=5)
+        matrix = random.normal(0, 3, (5, 5))
+        push = random.normal(size=5)
         matrix = matrix + matrix.T
         exact, damped = responses(np.float32(matrix), np.float32(push))
         np.testing.assert_allclose(
@@ -41,7 +42,8 @@ def floored_and_slope(matrix, floor, change):
     "eigenvalues", [(3.0, 3.0, -1.0, -1.0), (0.2, -0.3, -5.0, 4.0)]
 )
 def test_floored_eigenvalues_have_exact_derivatives_also_where_they_meet(eigenvalues):
-    matrix, change = symmetric(0, eigenvalues), symmetric(1, (1.0, -0.5, 0.3, 0.7))
+    matrix = symmetric(0, eigenvalues)
+    change = symmetric(1, (1.0, -0.5, 0.3, 0.7))
     with jax.enable_x64(True):
         now, slope = floored_and_slope(matrix, 1.0, change)
         more, _ = floored_and_slope(matrix + 1e-6 * change, 1 + 4e-7, change)

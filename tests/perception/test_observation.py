@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import gymnasium as gym
-import highway_env
+import highway_env  # noqa: F401
 import jax
 import numpy as np
 import pytest
@@ -43,7 +43,8 @@ def with_ego(scene, lane=None, at=0.0):
     """
     environment = gym.make(scene).unwrapped
     environment.reset(seed=0)
-    old, road = environment.vehicle, environment.road
+    old = environment.vehicle
+    road = environment.road
     ego = IDMVehicle(road, old.position, old.heading, old.speed)
     if lane:
         ego = IDMVehicle.make_on_lane(road, lane, at, speed=10.0)
@@ -62,7 +63,8 @@ def drive(scene, steps=80):
     """The ego's observation, the pose of its rear axle, its lane, and the positions of
     all, in every frame.
     """
-    ego, goal = with_ego(scene), GOALS.get(scene)
+    ego = with_ego(scene)
+    goal = GOALS.get(scene)
     if goal:
         ego.plan_route_to(goal)
     for _ in range(steps):
@@ -104,7 +106,8 @@ def test_observed_routes_are_drivable_and_constant_and_observed_positions_are_tr
                 before.x[8:60], before.y[8:60], before.heading[8:60]
             )
             assert np.abs(aside).max() < 0.05
-        before, last = route, lane
+        before = route
+        last = lane
 
 
 def test_a_ramp_asks_for_a_change_to_the_left_before_its_end_and_is_closed_to_cars_beside_it():

@@ -88,7 +88,8 @@ def test_a_model_that_neither_predicts_nor_plans_is_refused(base):
 
 def test_counted_gradient_steps_have_their_own_length_under_any_model(lazy, played):
     game, state = played("merger")
-    start, scale = np.zeros((5, 2), np.float32), game.planner.control_scale
+    start = np.zeros((5, 2), np.float32)
+    scale = game.planner.control_scale
     expected = Naive().predict(game, np.array(state)) / scale
     slope = jit_quickly(jax.grad(total_reward, argnums=2))(
         game, state, start, expected[None]

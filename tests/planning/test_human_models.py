@@ -32,10 +32,8 @@ def mirrored(game, state):
 @pytest.mark.parametrize("name", MODELS)
 def test_mirrored_scenes_give_mirrored_plans(played, name):
     game, state = played("merger", seed=3)
-    straight, mirror = (
-        plan(MODELS[name], game, state),
-        plan(MODELS[name], *mirrored(game, state)),
-    )
+    straight = plan(MODELS[name], game, state)
+    mirror = plan(MODELS[name], *mirrored(game, state))
     scale = np.array([-1.0, 1.0])
     np.testing.assert_allclose(mirror.robot, straight.robot * scale, atol=2e-3)
     np.testing.assert_allclose(mirror.humans, straight.humans * scale, atol=2e-3)
@@ -81,7 +79,8 @@ def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
     robot steers in.
     """
     game, state = played("merger")
-    naive, tom = plan(MODELS["naive"], game, state), plan(MODELS["tom"], game, state)
+    naive = plan(MODELS["naive"], game, state)
+    tom = plan(MODELS["tom"], game, state)
     assert tom.humans[0, :, 1].mean() < naive.humans[0, :, 1].mean()
     assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
 

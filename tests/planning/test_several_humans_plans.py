@@ -68,17 +68,16 @@ def test_one_compilation_serves_all_assignments(three, plans):
 
 
 def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
-    game, state = three[0], three[1].copy()
+    game = three[0]
+    state = three[1].copy()
     state[0, 1] = -1.5  # between the lanes
 
     @jax.jit
     @jax.vmap
     def with_and_without(human):
         start = cold_start(game, state)
-        robot, humans = (
-            move(game, state[0], start.robot),
-            move_all(game, state[1:4], start.humans),
-        )
+        robot = move(game, state[0], start.robot)
+        humans = move_all(game, state[1:4], start.humans)
         own = swap_roles(game, human)
         around = trajectories_around(human, robot, humans)
         return own.payoff.second_order(humans[human], around).partner, mixed_bends(
@@ -94,7 +93,8 @@ def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(
     three, plans
 ):
     game, state = three
-    rungs, scale = [TURN, IDM, BRAKES], game.planner.control_scale
+    rungs = [TURN, IDM, BRAKES]
+    scale = game.planner.control_scale
     found = plans.plan(state, rungs)[0].plan.humans
     for human, rung in enumerate(rungs[:2]):
         close(
@@ -116,7 +116,8 @@ def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
 
 def test_the_order_of_humans_changes_nothing(three, plans):
     game, state = three
-    rungs, order = np.array([TOM, TURN, NAIVE]), np.array([2, 0, 1])
+    rungs = np.array([TOM, TURN, NAIVE])
+    order = np.array([2, 0, 1])
     expected = plans.plan(state, rungs)[0].plan
     reordered = CompiledPlans(
         replace(game, humans=replace(game.humans, weights=game.humans.weights[order])),

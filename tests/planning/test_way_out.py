@@ -21,7 +21,8 @@ escape = partial(jit_quickly(keep_way_out), GAME)
 
 def beside(*offsets):
     """The robot in its lane, and humans in the other one, so far ahead of it [m]."""
-    robot, target = [0.0, 0.0, 0.0, 20.0], GAME.scene.target_lane
+    robot = [0.0, 0.0, 0.0, 20.0]
+    target = GAME.scene.target_lane
     return np.float32([robot, *([offset, target, 0.0, 20.0] for offset in offsets)])
 
 
@@ -65,7 +66,8 @@ def collides_if_it_wants(state, control, keeps_way_out=True):
     "curvature", [0.0, -0.01], ids=["into the cones", "into a human"]
 )
 def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(curvature):
-    state, control = beside(-8.0, 0.0, 8.0), scaled(curvature, 0.0)
+    state = beside(-8.0, 0.0, 8.0)
+    control = scaled(curvature, 0.0)
     assert collides_if_it_wants(state, control, keeps_way_out=False)
     assert not collides_if_it_wants(state, control)
 
@@ -76,10 +78,8 @@ def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
 
     A check of bodies that are widened by the clearance would miss that collision.
     """
-    state, touch = (
-        beside(-8.0, 0.0, 8.0),
-        (GAME.scene.car_size[0] + GAME.scene.obstacle_size[0]) / 2,
-    )
+    state = beside(-8.0, 0.0, 8.0)
+    touch = (GAME.scene.car_size[0] + GAME.scene.obstacle_size[0]) / 2
     state[:, 3] = 25.0
     state[:, 0] += GAME.scene.obstacles[:, 0].min() - touch - 25.0**2 / (2 * 8.0) - 1.65
     assert escape(state, STEADY).replaces

@@ -96,7 +96,8 @@ def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_pa
     agents = [
         str(tmp_path / f"{algorithm}-merge-v0-0.zip") for algorithm in ("dqn", "ppo")
     ]
-    bench, figures = "-m ms_highway bench road", tmp_path / "road.json"
+    bench = "-m ms_highway bench road"
+    figures = tmp_path / "road.json"
     python(*f"{bench} merge-v0 --seeds 1 --json {figures} --drivers".split(), *agents)
     assert list(json.loads(figures.read_text())["merge-v0"]) == agents
     refused = python(

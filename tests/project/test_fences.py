@@ -32,7 +32,8 @@ def drive(env, seed):
     ``info``.
     """
     env.reset(seed=seed)
-    rewards, done = [], False
+    rewards = []
+    done = False
     while not done:
         _, reward, terminated, truncated, info = env.step(0)
         rewards.append(reward)
@@ -41,7 +42,8 @@ def drive(env, seed):
 
 
 def test_the_logs_of_the_released_code_are_replayed(reference, capsys):
-    fence, files = FENCES["replay"], printed(capsys, f"validate {reference}")["files"]
+    fence = FENCES["replay"]
+    files = printed(capsys, f"validate {reference}")["files"]
     assert len(files) == fence["files"]
     decisions = [
         errors["decisions"] for errors in files.values() if "decisions" in errors
@@ -67,7 +69,8 @@ def compared(request, tmp_path_factory, optimized):
     """Return a scenario, and the directory with the episodes of its rows in the
     README's table.
     """
-    scenario, out = request.param, tmp_path_factory.mktemp("compare")
+    scenario = request.param
+    out = tmp_path_factory.mktemp("compare")
     run(
         f"compare {scenario} --controllers {' '.join(FENCES['readme'][scenario])}"
         f" --seeds 30 --out {out}"
@@ -99,7 +102,8 @@ def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
     env = gym.make(
         "ms-highway/merger-v0", config={"controller": "tom+belief", "yielding": "never"}
     )
-    collisions, fence = 0, FENCES["belief"]
+    collisions = 0
+    fence = FENCES["belief"]
     for seed in range(fence["starts"]):
         env.reset(seed=seed)
         collisions += any(env.step(0)[-1]["collision"] for _ in range(40))
@@ -118,10 +122,8 @@ def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(
 
 
 def test_the_recorded_problem_that_ships_is_solved():
-    env, fence = (
-        gym.make("ms-highway/recorded-v0", config={"ego": "problem"}),
-        FENCES["recorded"],
-    )
+    env = gym.make("ms-highway/recorded-v0", config={"ego": "problem"})
+    fence = FENCES["recorded"]
     reward, info = drive(ms_highway.drive(env), 0)
     assert info["recorded"]["success"]
     assert reward == pytest.approx(fence["reward"], abs=fence["tolerance"])

@@ -62,7 +62,8 @@ def checkout_without_links(tmp_path):
 def test_the_wheel_works_from_another_directory_without_the_source_tree(
     checkout_without_links, tmp_path
 ):
-    source, installed = checkout_without_links, tmp_path / "installed"
+    source = checkout_without_links
+    installed = tmp_path / "installed"
     install(installed, source)
     shutil.rmtree(source)
     (metadata,) = installed.glob("*.dist-info")
@@ -97,7 +98,8 @@ def test_the_wheel_works_from_another_directory_without_the_source_tree(
 def test_an_editable_installation_is_found_from_above_its_checkout_and_has_environments_without_links(
     checkout_without_links, tmp_path
 ):
-    source, installed = checkout_without_links, tmp_path / "installed"
+    source = checkout_without_links
+    installed = tmp_path / "installed"
     install(installed, "-e", source)
     program = (
         f"import site, sys\nsite.addsitedir({str(installed)!r});"

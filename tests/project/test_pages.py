@@ -24,11 +24,9 @@ from ms_highway.loop.controller import HUMAN_DRIVERS
 
 ROOT = Path(__file__).parents[2]
 PAGES = ROOT / "notebooks"
-README, MAP, RESULTS = (
-    ROOT / "README.md",
-    PAGES / "MAP.md",
-    PAGES / "results" / "README.md",
-)
+README = ROOT / "README.md"
+MAP = PAGES / "MAP.md"
+RESULTS = PAGES / "results" / "README.md"
 REFERENCE = PAGES / "REFERENCE.md"
 NOTEBOOKS = sorted(PAGES.glob("*.ipynb"))
 EXAMPLES = {path.stem: path.read_text() for path in sorted(PAGES.glob("examples/*.py"))}

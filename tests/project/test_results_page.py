@@ -80,10 +80,8 @@ def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
 def test_sentences_on_switching_agree_with_the_summaries():
     merger = summaries("compare", "merger")
     gains = merger["reward"] - merger["reward"]["naive"]
-    kept, effort = (
-        100 * gains / gains["tom"],
-        100 * merger["counted_ms"] / merger["counted_ms"]["tom"],
-    )
+    kept = 100 * gains / gains["tom"]
+    effort = 100 * merger["counted_ms"] / merger["counted_ms"]["tom"]
     for name, sentence in {
         "learned:1": (
             "keeps {:.0f} % of what theory of mind gains over `naive`, for {:.0f} % of"

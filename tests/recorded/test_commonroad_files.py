@@ -123,12 +123,10 @@ def test_commonroads_own_reader_finds_the_same_lanelets_states_and_problems(tmp_
 
 
 def test_200_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
-    path, whole, wrong, survived = (
-        tmp_path / "damaged.xml",
-        ElementTree.fromstring(varied()),
-        {},
-        0,
-    )
+    path = tmp_path / "damaged.xml"
+    whole = ElementTree.fromstring(varied())
+    wrong = {}
+    survived = 0
     names = "|".join(
         sorted({element.tag for element in whole.iter()} | {"planning problem"})
     )

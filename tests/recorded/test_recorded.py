@@ -180,10 +180,8 @@ def test_a_car_whose_place_is_taken_waits_and_enters_there_later(tmp_path):
     for *_, info in steps(
         env, lambda env: np.array([0.0 if env.steps < 12 else 1.0, 0.0])
     ):
-        told, gap = (
-            info["recorded"],
-            env.vehicle.position[0] - env.axes.positions(place(20, 0))[0],
-        )
+        told = info["recorded"]
+        gap = env.vehicle.position[0] - env.axes.positions(place(20, 0))[0]
         if 102 in others(env):
             break
         assert told["waiting"].tolist() == [False, False, told["step"] >= 5]
@@ -206,7 +204,8 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     )
     task = problem_of(open_recording(str(us("29_1"))), "problem")
     (goal,) = task.goals
-    rng, found = np.random.default_rng(0), []
+    rng = np.random.default_rng(0)
+    found = []
     middle = [
         *goal.area.mean(axis=0),
         np.mean(goal.headings),
@@ -256,7 +255,8 @@ def test_an_episode_ends_at_the_goal_or_by_a_collision_or_off_the_road_or_at_its
     cars, problems, steering, step, ends, earned, tmp_path
 ):
     env, _ = begun(written(tmp_path, cars, problems))
-    outcomes, corners_off = [], []
+    outcomes = []
+    corners_off = []
     for outcome in steps(env, lambda _: np.array([0.0, steering])):
         outcomes.append(outcome)
         rights = env.axes.points(env.vehicle.polygon()[:-1]) @ [
@@ -448,7 +448,9 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     env.reset(seed=0)
     inner = env.unwrapped
     (lane,) = inner.road.network.lanes_list()
-    corners, middles, accelerations = [], [], []
+    corners = []
+    middles = []
+    accelerations = []
     done = False
     while not done:
         _, _, terminated, truncated, info = env.step(None)

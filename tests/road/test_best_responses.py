@@ -22,10 +22,8 @@ CUT_IN = np.minimum(-4 + 2 * TIMES, 0)  # lateral positions
 
 def robot_from(place, d=0.0, acceleration=0.0):
     """Trajectory of the robot on a straight road, at 20 m/s at first."""
-    s, speed = (
-        place + 20 * TIMES + acceleration * TIMES**2 / 2,
-        20 + acceleration * TIMES,
-    )
+    s = place + 20 * TIMES + acceleration * TIMES**2 / 2
+    speed = 20 + acceleration * TIMES
     return np.stack(np.broadcast_arrays(s, d, 0.0, speed)).astype(np.float32)
 
 

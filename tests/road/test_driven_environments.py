@@ -52,7 +52,8 @@ def forms(road):
 def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_interface(
     name,
 ):
-    stock, env = gym.make(name), ms_highway.drive(gym.make(name))
+    stock = gym.make(name)
+    env = ms_highway.drive(gym.make(name))
     assert (env.action_space, env.observation_space) == (
         stock.action_space,
         stock.observation_space,
@@ -63,7 +64,8 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_
     assert np.isnan(first["decisions"]).all()
     assert first["action"] is None or np.isnan(first["action"]).all()
     observation, reward, terminated, _, info = env.step(env.action_space.sample())
-    road, rates = info["road"], env.unwrapped.config
+    road = info["road"]
+    rates = env.unwrapped.config
     assert forms(road) == forms(first)
     assert form(info) == form(told)
     assert env.observation_space.contains(observation)
@@ -119,9 +121,11 @@ def test_the_robot_plans_five_times_in_a_step_of_a_second_and_counts_late_plans(
 
 
 def test_actions_are_ignored_and_a_time_limit_in_steps_is_kept():
-    one, other = driven("two-way-v0"), driven("two-way-v0")
+    one = driven("two-way-v0")
+    other = driven("two-way-v0")
     for step in range(15):
-        outcome, same = one.step(0), other.step(3)
+        outcome = one.step(0)
+        same = other.step(3)
         np.testing.assert_array_equal(outcome[0], same[0])
         assert (outcome[1], outcome[4]["action"]) == (same[1], 1)  # IDLE
         assert outcome[2:4] == (False, step == 14)
@@ -131,19 +135,17 @@ def test_the_reported_action_repeats_the_step_of_the_robot_or_is_nan():
     """In a turn, tyres change the control within some of the steps, which have three
     frames.
     """
-    env, stock = (
-        driven("intersection-v0", config=CONTINUOUS),
-        gym.make("intersection-v0", config=CONTINUOUS),
-    )
+    env = driven("intersection-v0", config=CONTINUOUS)
+    stock = gym.make("intersection-v0", config=CONTINUOUS)
     stock.reset(seed=0)
-    copy, own, possible = stock.unwrapped.vehicle, env.unwrapped.vehicle, []
+    copy = stock.unwrapped.vehicle
+    own = env.unwrapped.vehicle
+    possible = []
     for _ in range(40):
         stock.unwrapped.road.vehicles = [copy]
-        copy.position, copy.heading, copy.speed = (
-            own.position.copy(),
-            own.heading,
-            own.speed,
-        )
+        copy.position = own.position.copy()
+        copy.heading = own.heading
+        copy.speed = own.speed
         action = env.step(None)[4]["road"]["action"]
         stock.step(action)
         possible.append(env.action_space.contains(action))
@@ -170,7 +172,8 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     env = driven("roundabout-v0", "fixed:idm", render_mode="rgb_array")
     before = env.render()
     env.step(1)
-    frame, height = env.render(), env.unwrapped.config["screen_height"]
+    frame = env.render()
+    height = env.unwrapped.config["screen_height"]
     assert before.shape == frame.shape == (height + PANEL, 600, 3)
     assert (frame[:height] == model_color("idm")).all(axis=-1).sum() > 100
     assert (frame[height] == PAPER).all()
@@ -196,7 +199,8 @@ class Follows:
     """
 
     def reset(self, key):
-        self.distance, self.seen = np.random.default_rng(key).uniform(10.0, 30.0), []
+        self.distance = np.random.default_rng(key).uniform(10.0, 30.0)
+        self.seen = []
 
     def __call__(self, game, state):
         self.seen.append((game, state))
@@ -216,7 +220,8 @@ def follows(monkeypatch):
 @pytest.mark.usefixtures("follows")
 @pytest.mark.parametrize("name", ["racetrack-v1", "merge-v0"])
 def test_a_driver_of_ones_own_drives_stock_roads_and_sees_them_straightened(name):
-    env, drives = ms_highway.drive(gym.make(name), {"driver": "follows"}), []
+    env = ms_highway.drive(gym.make(name), {"driver": "follows"})
+    drives = []
     for seed in (3, 4, 3):
         _, first = env.reset(seed=seed)
         for _ in range(8):

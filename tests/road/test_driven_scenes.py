@@ -36,7 +36,8 @@ def test_destination_and_desired_speed_are_those_of_the_scene(name, destination,
 
 
 def test_a_random_destination_is_the_end_of_the_route():
-    env, found = made("intersection-v0", destination=None), set()
+    env = made("intersection-v0", destination=None)
+    found = set()
     for seed in range(6):
         env.reset(seed=seed)
         found.add(destination_of(env))
@@ -46,13 +47,12 @@ def test_a_random_destination_is_the_end_of_the_route():
 
 @pytest.mark.parametrize("name", ["intersection-v0", "intersection-multi-agent-v0"])
 def test_robots_replace_all_controlled_vehicles_and_are_observed_as_these_were(name):
-    stock, driven = made(name).unwrapped, ms_highway.drive(gym.make(name))
+    stock = made(name).unwrapped
+    driven = ms_highway.drive(gym.make(name))
     observed, _ = driven.reset(seed=0)
-    base, actions, observations = (
-        driven.unwrapped,
-        driven.unwrapped.action_type,
-        driven.unwrapped.observation_type,
-    )
+    base = driven.unwrapped
+    actions = driven.unwrapped.action_type
+    observations = driven.unwrapped.observation_type
     np.testing.assert_equal(observations.observe(), observed)
     controlled = [
         part.controlled_vehicle

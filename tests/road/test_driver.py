@@ -77,7 +77,8 @@ def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
         gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
         each = np.cumsum([0.0, *random.uniform(0, 0.002, 2)])
         costs = Costs(random.uniform(0, 0.004), each, MODELS)
-        milliseconds, spent = random.uniform(0, 20), random.uniform(0, 0.005)
+        milliseconds = random.uniform(0, 20)
+        spent = random.uniform(0, 0.005)
         models = chosen(f"budget:{milliseconds}", costs, gains, spent)
         extra = costs.each[models].sum()
         assert extra == 0 or spent + costs.base + extra <= milliseconds / 1e3 + 1e-6
@@ -92,7 +93,8 @@ def driver(name="fixed:naive", planning=PLANNING):
 
 
 def test_a_plan_beyond_its_budget_is_followed_a_step_later():
-    late, usual = driver("budget:0"), driver()
+    late = driver("budget:0")
+    usual = driver()
     steps = [late.step(SCENE) for _ in range(3)]
     first, second = (usual.step(SCENE) for _ in range(2))
     assert [(step.status, step.source) for step in steps] == [

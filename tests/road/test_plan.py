@@ -39,10 +39,8 @@ def asked(*cars):
     )
 
 
-SLOW, BESIDE = (
-    (25.0, 0, 12.0),
-    [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)],
-)
+SLOW = (25.0, 0, 12.0)
+BESIDE = [(place, lane, 14.0) for place in (0.0, 12.0) for lane in (-1, 1)]
 CIRCLE = scene_of(
     bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)]
 )
@@ -131,13 +129,16 @@ def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_
         ),
         0,
     )
-    scene, driven, last = replace(scene, open=ONE_LANE), [], None
+    scene = replace(scene, open=ONE_LANE)
+    driven = []
+    last = None
     for _ in range(30):
         plan = planned(scene, "naive", UNHURRIED, last)
         assert not plan.broken
         driven.append(scene.robot)
         states, *_ = execute(scene, UNHURRIED, plan.controls)
-        scene, last = replace(scene, robot=np.asarray(states)[0]), plan.last().later()
+        scene = replace(scene, robot=np.asarray(states)[0])
+        last = plan.last().later()
     s, d, *_ = np.array(driven).T
     assert max(d, key=abs) == pytest.approx(side * 1.0, abs=0.2)
     assert s[-1] > 40.0

@@ -18,15 +18,20 @@ from ms_highway.road.simulation import simulate
 from ms_highway.road.traffic import situation_of
 from ms_highway.runtime.compilation import jit_quickly
 
-GRIP, DT, STEPS = float(PLANNING.grip), PLANNING.time_step, PLANNING.steps
-FOLLOWING, NOBODY = np.ones(TRAFFIC, bool), np.zeros(TRAFFIC, bool)
-KEEPING, HARD = (0.0, 0.0), (0.0, -4.9)
+GRIP = float(PLANNING.grip)
+DT = PLANNING.time_step
+STEPS = PLANNING.steps
+FOLLOWING = np.ones(TRAFFIC, bool)
+NOBODY = np.zeros(TRAFFIC, bool)
+KEEPING = (0.0, 0.0)
+HARD = (0.0, -4.9)
 LENGTHS = (
     5.0 + 2.5
 )  # m, from a centre to the rear axle of the car behind where the bumpers touch
 PLANS = Profiles(*map(np.array, zip(*PROFILES, strict=True)))
 GIVEN = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS), PLANS)
-OWN, RIGHT = 1, 2
+OWN = 1
+RIGHT = 2
 
 
 @jit_quickly
@@ -143,7 +148,8 @@ def crossing():
     return scene
 
 
-CLOSED, TWICE = scene_of(), [changing(0.004)] * 2
+CLOSED = scene_of()
+TWICE = [changing(0.004)] * 2
 CLOSED.open[RIGHT] = False
 PURSUED = scene_of(
     robot=(0.0, 0.0, 0.0, 15.0), cars=[(-15.0, lane, 18.5) for lane in (0, 1)]

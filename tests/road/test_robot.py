@@ -5,7 +5,7 @@ driver does.
 from dataclasses import replace
 from types import SimpleNamespace
 
-import highway_env
+import highway_env  # noqa: F401
 import numpy as np
 import pytest
 from highway_env.road.road import Road, RoadNetwork
@@ -24,7 +24,9 @@ def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
     states, held, centres = map(
         np.asarray, execute(scene, replace(PLANNING, time_step=0.005), turns)
     )
-    car, poses, speeds = Vehicle(None, [Vehicle.LENGTH / 2, 0.0], 0.0, 6.0), [], []
+    car = Vehicle(None, [Vehicle.LENGTH / 2, 0.0], 0.0, 6.0)
+    poses = []
+    speeds = []
     for curvature, acceleration in held.tolist():
         car.act(
             {
@@ -53,7 +55,8 @@ def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(
         0.0,
         speed,
     )
-    random, last = np.random.default_rng(0), None
+    random = np.random.default_rng(0)
+    last = None
     robot.drive_with(
         SimpleNamespace(
             step=lambda _: SimpleNamespace(
@@ -63,7 +66,8 @@ def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(
     )
     for _ in range(100):
         robot.act()
-        before, start = robot.velocity, robot.position.copy()
+        before = robot.velocity
+        start = robot.position.copy()
         robot.step(1 / frequency)
         moved = (robot.position - start) * frequency
         assert np.linalg.norm(robot.velocity - before) * frequency <= GRIP

@@ -36,7 +36,8 @@ def test_exactly_one_of_two_vehicles_goes_first():
     for (own_distance, own_rank, speed), (distance, rank, other_speed) in product(
         kinds, kinds
     ):
-        one.speed, other.speed = speed, other_speed
+        one.speed = speed
+        other.speed = other_speed
         approach = Approach(one, own_distance, 5.0, own_rank, 0)
         others = Approach(other, distance, 5.0, rank, 1)
         assert approach.goes_before(others) != others.goes_before(approach)

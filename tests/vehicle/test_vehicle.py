@@ -40,7 +40,8 @@ def drive(road, steps, dt=0.1):
 
 def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvature_to_steering():
     _, car = road_with((BicycleVehicle, (0.0, 0.0), 18.0, 0.1))
-    before, control = car.state, np.array([np.tan(0.05) / 5.0, 2.0])
+    before = car.state
+    control = np.array([np.tan(0.05) / 5.0, 2.0])
     car.execute(control)
     assert car.action == pytest.approx({"steering": 0.05, "acceleration": 2.0})
     car.act(car.action)
@@ -52,7 +53,9 @@ def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvatur
 
 
 def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_overlap():
-    random, still, hits = np.random.default_rng(0), np.zeros(2), []
+    random = np.random.default_rng(0)
+    still = np.zeros(2)
+    hits = []
     for _ in range(100):
         car = BicycleVehicle(
             None, random.uniform(-1, 1, 2), random.uniform(-4, 4), speed=20.0

@@ -67,7 +67,8 @@ def known_scenes(names: Iterable[str]) -> list[str]:
     Raises:
         ValueError: for an unknown scene.
     """
-    scenes, every = [], (*SCENES, *OTHER_SCENES, RECORDED)
+    scenes = []
+    every = (*SCENES, *OTHER_SCENES, RECORDED)
     for name in names:
         known = [
             scene for scene in every if name in (scene, re.sub(r"-v\d+$", "", scene))

@@ -109,12 +109,11 @@ def make_driver(block: Block, **options: Any) -> gym.Env:
         block: scene, driver and traffic.
         options: of ``gym.make``.
     """
-    scene, config = block.scene, {"other_vehicles_type": TRAFFIC.get(block.traffic)}
+    scene = block.scene
+    config = {"other_vehicles_type": TRAFFIC.get(block.traffic)}
     if scene == RECORDED:
-        scene, config = (
-            RECORDED_ID,
-            {"traffic": block.traffic, **block.starts[0].config},
-        )
+        scene = RECORDED_ID
+        config = {"traffic": block.traffic, **block.starts[0].config}
     if block.driver in AGENTS:
         config |= AGENTS[block.driver].config
     with warnings.catch_warnings():
@@ -173,7 +172,9 @@ def run_episode(
     inner: Any = env.unwrapped
     exported = Drive(inner) if block.exports else None
     watch = Watch(inner, *filter(None, (then, exported.see if exported else None)))
-    rewards, roads, done = [], [], False
+    rewards = []
+    roads = []
+    done = False
     longest = max(MAX_DURATION, inner.config.get("duration", 0.0))
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
@@ -274,11 +275,9 @@ def film(block: Block, seed: int, path: Path) -> None:
     from ms_highway.visualization.video import scaled, write
 
     env: Any = make_driver(block, render_mode="rgb_array")
-    frequency, pictures, frames = (
-        env.unwrapped.config["simulation_frequency"],
-        [],
-        count(),
-    )
+    frequency = env.unwrapped.config["simulation_frequency"]
+    pictures = []
+    frames = count()
     every = max(1, round(frequency / FRAMES_PER_SECOND))
 
     def picture() -> None:
@@ -327,7 +326,8 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
     """
     of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
-    largest, reached = of["max_acceleration"].max(), of["seconds"][of["success"]]
+    largest = of["max_acceleration"].max()
+    reached = of["seconds"][of["success"]]
     figures = {
         **of[["success", "off_road", "stood", "steps"]].mean(),
         "collisions": of["crashed"].sum(),

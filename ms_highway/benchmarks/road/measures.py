@@ -78,7 +78,8 @@ class Watch:
 
     def __init__(self, env: Any, *then: Callable[[], None]) -> None:
         self.crashed = self.at_fault = self.off_road = False
-        self._env, self._time_step = env, 1 / env.config["simulation_frequency"]
+        self._env = env
+        self._time_step = 1 / env.config["simulation_frequency"]
         self._states: list[Any] = []
         self._lanes = deque[Lane](maxlen=max(1, round(LOOK_BACK / self._time_step)))
         self.others = OthersWatch(env)
@@ -103,7 +104,8 @@ class Watch:
         return measured(np.array(self._states), self._time_step, self.crashed)
 
     def _see(self) -> None:
-        ego, road = self._env.vehicle, self._env.road
+        ego = self._env.vehicle
+        road = self._env.road
         self._states.append((*ego.position, ego.heading, ego.speed))
         if ego.crashed:
             self.crashed = True
@@ -266,7 +268,8 @@ def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
         return True
     across = np.array([-other.direction[1], other.direction[0]])
     away = ego.position - other.position
-    half_length, half_width = other.LENGTH / 2, other.WIDTH / 2
+    half_length = other.LENGTH / 2
+    half_width = other.WIDTH / 2
     closest = (
         half_length * other.direction
         + np.clip(away @ across, -half_width, half_width) * across

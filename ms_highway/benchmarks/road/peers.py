@@ -160,7 +160,8 @@ class Idm(Peer):
                 "target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS
             )
         )
-        ego.decisions, goal = self.decisions, destination_of(self.inner)
+        ego.decisions = self.decisions
+        goal = destination_of(self.inner)
         if isinstance(self.inner, ExitEnv):
             last = self.inner.config["lanes_count"]
             ego.route = [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
