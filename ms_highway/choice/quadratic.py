@@ -353,7 +353,7 @@ def change_of_control(
     return trust_region_step(quadratic, linear, how.trust_radius, how.trust_tolerance)
 
 
-def Switching(  # noqa: N802
+def Switching(  # noqa: N802 (its name since version 1, when it was a class)
     costs: Costs,
     price: Scalar,
     ladder: tuple[HumanModel, ...],

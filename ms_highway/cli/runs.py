@@ -221,7 +221,8 @@ def sweep(options: argparse.Namespace) -> None:
     asked = comparison(options)
     out = options.out
     with needing("sweep"):
-        import pyarrow  # writes the parts  # noqa: F401
+        # It writes the parts.
+        import pyarrow  # noqa: F401
 
         if options.scheduler:
             from ms_highway.experiments.cluster import connected

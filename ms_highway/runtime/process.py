@@ -45,7 +45,8 @@ def watch() -> None:
     )  # also in threads and processes that start later
     from threading import Thread
 
-    import ms_highway.runtime.files  # for `_end`, which would wait for imports of the main thread  # noqa: F401
+    # Imported for `_end`, which would otherwise wait for imports of the main thread.
+    import ms_highway.runtime.files  # noqa: F401
 
     Thread(target=_wait, daemon=True).start()
 

@@ -8,7 +8,8 @@ Run::
 
 import gymnasium as gym
 
-import ms_highway  # registers the environments  # noqa: F401
+# Registers the environments.
+import ms_highway  # noqa: F401
 
 env = gym.make(
     "ms-highway/merger-v1",

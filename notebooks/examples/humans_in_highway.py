@@ -9,7 +9,8 @@ change lanes as highway-env's drivers do, and give way where ways meet. Run::
 
 import gymnasium as gym
 
-import ms_highway  # registers its environments, and those of highway-env  # noqa: F401
+# Registers its environments, and those of highway-env
+import ms_highway  # noqa: F401
 
 config = {"other_vehicles_type": "ms_highway.vehicle.CommuterVehicle"}
 env = gym.make("highway-v0", config={**config, "vehicles_count": 5, "duration": 3})
