@@ -1,14 +1,12 @@
-"""Infer from each human's controls which model predicts this human best: interacting
-multiple models.
+"""Infer from each human's controls which model predicts this human best: interacting multiple models.
 
-A human follows one model at a time and may change it from step to step. As states are
-observed exactly, the filter of Blom and Bar-Shalom (1988) is the forward pass of a
-hidden Markov model::
+A human follows one model at a time and may change it from step to step. As states are observed exactly, the filter of
+Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
 
     p(m) <- sum over m' of P(m | m') p(m'),    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
 
-where u is the observed control, and u_m the control that model m predicts for this
-step, see `next_controls`.
+where u is the observed control, and u_m the control that model m predicts for this step, see
+`next_controls`.
 """
 
 from dataclasses import replace

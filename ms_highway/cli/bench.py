@@ -61,18 +61,17 @@ JSON = output("--json", "write all figures to a JSON file")
     JSON,
 )
 def bench(options: argparse.Namespace) -> None:
-    """Measure live episodes of every controller on one core, warm: the microseconds of
-    a plan, of a decision and of the rest of a step (without the plans of all cars), and
-    steps per second. With --batches, also measure the simulation of many episodes at
-    once on --devices, by batch size: steps per second, and the largest memory so far in
-    MiB.
+    """Measure live episodes of every controller on one core, warm: the microseconds of a plan, of a decision and of the
+    rest of a step (without the plans of all cars), and steps per second. With --batches, also measure the simulation of
+    many episodes at once on --devices, by batch size: steps per second, and the largest memory so far in MiB.
 
     `ms-highway bench road` measures drivers in stock scenes of highway-env.
 
     Examples:
-      ms-highway bench merger ms-highway bench dense_merge --set humans=12 --controllers
-      naive tom --json bench.json ms-highway bench merger --batches 1 16 64 256 1024
-      8192 ms-highway bench road merge --drivers priced idm
+      ms-highway bench merger
+      ms-highway bench dense_merge --set humans=12 --controllers naive tom --json bench.json
+      ms-highway bench merger --batches 1 16 64 256 1024 8192
+      ms-highway bench road merge --drivers priced idm
     """
     from ms_highway.benchmarks.speed import batch_speed, live_speed
     from ms_highway.runtime.files import write_json
@@ -150,59 +149,48 @@ def bench(options: argparse.Namespace) -> None:
     output("--log", "write a row per episode to a CSV file"),
 )
 def bench_road(options: argparse.Namespace) -> None:
-    """Drive stock scenes of highway-env with drivers of this package and others from
-    the same starts, and compare them. Each driver in each scene has a process of its
-    own, on one core.
+    """Drive stock scenes of highway-env with drivers of this package and others from the same starts, and compare them.
+    Each driver in each scene has a process of its own, on one core.
 
-    A drive without a crash succeeds if: in merge, the ego passes the ramp; in
-    roundabout, it leaves the ring by its exit within the episode; in exit and
-    intersection, highway-env says so (is_success, has_arrived); elsewhere, it stays on
-    the road until the end. A car that stands still never crashes: compare collisions
-    together with success. The ego is not at fault if it was rear-ended in a lane that
-    it had kept for a second. Intervals of success are Wilson's; m/s² is the largest
-    acceleration in any frame of the simulation, jerk the root mean square, ms the time
-    of a decision without compilation, late the share of plans that exceeded a budget.
-    Choices count the shipped times of the models.
+    A drive without a crash succeeds if: in merge, the ego passes the ramp; in roundabout, it leaves the ring by its
+    exit within the episode; in exit and intersection, highway-env says so (is_success, has_arrived); elsewhere, it
+    stays on the road until the end. A car that stands still never crashes: compare collisions together with success.
+    The ego is not at fault if it was rear-ended in a lane that it had kept for a second. Intervals of success are
+    Wilson's; m/s² is the largest acceleration in any frame of the simulation, jerk the root mean square, ms the time of
+    a decision without compilation, late the share of plans that exceeded a budget. Choices count the shipped times of
+    the models.
 
-    Drivers of this package are priced, priced:LAMBDA, budget:MILLISECONDS and
-    fixed:RUNG (naive, idm, tom); with +intentions (such as priced+intentions), other
-    cars that have a route show it, as by indicators. Your own are those that a module
-    of --import adds: planners of add_driver, and agents of add_agent. Others are idm,
-    highway-env's IDM and MOBIL instead of the ego; commuter, a CommuterVehicle instead
-    of the ego; and files of agents that stable-baselines3 has saved (it has to be
-    installed), such as those of notebooks/examples/train_peers.py: open only files that
-    you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled
-    unphysical.
+    Drivers of this package are priced, priced:LAMBDA, budget:MILLISECONDS and fixed:RUNG (naive, idm, tom); with
+    +intentions (such as priced+intentions), other cars that have a route show it, as by indicators. Your own are those
+    that a module of --import adds: planners of add_driver, and agents of add_agent. Others are idm, highway-env's IDM
+    and MOBIL instead of the ego; commuter, a CommuterVehicle instead of the ego; and files of agents that
+    stable-baselines3 has saved (it has to be installed), such as those of notebooks/examples/train_peers.py: open only
+    files that you trust, as they may hold any program. Drivers above 10 m/s^2 are labelled unphysical.
 
-    Collisions are the ego's; "with any collision" counts the episodes in which any
-    vehicles touch, "others m/s" is the mean speed of the other vehicles. To compare
-    kinds of traffic, let the ego be of the same kind.
+    Collisions are the ego's; "with any collision" counts the episodes in which any vehicles touch, "others m/s" is the
+    mean speed of the other vehicles. To compare kinds of traffic, let the ego be of the same kind.
 
-    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by
-    default, that of the package). If the vehicle of a problem was recorded, too, the
-    ego takes its place, and a line says so. With --egos changing, it has a start in the
-    place of every vehicle that was recorded to change lanes; the goal is that vehicle's
-    last position. Its --traffic is learned (drivers who react, the default), replay or
-    idm. Success is CommonRoad's: to reach the goal's region in its interval of time,
-    without a collision and on the road; "s to goal" is the mean time. There, --seed is
-    the number of the first start and --seeds the number of starts, and there is a
-    driver human, which repeats the recorded drive of the vehicle in whose place it
-    starts. --export DIR writes every drive of a planning problem as two CommonRoad
-    files, for example for commonroad-drivability-checker: DIR/TRAFFIC/DRIVER/NAME.xml,
-    the recording with the other vehicles as they moved in the episode, and
-    NAME.solution.xml, the ego's drive as states of a kinematic single-track model
-    (KS2). In DRIVER and NAME, characters that have a meaning in paths, such as : and /,
-    become _, and digits follow that keep different names apart.
+    The scene "recorded" has the planning problems of CommonRoad scenarios (--data; by default, that of the package). If
+    the vehicle of a problem was recorded, too, the ego takes its place, and a line says so.
+    With --egos changing, it has a start in the place of every vehicle that was recorded to change lanes; the goal is
+    that vehicle's last position. Its --traffic is learned (drivers who react, the default), replay or idm. Success is
+    CommonRoad's: to reach the goal's region in its interval of time, without a collision and on the road; "s to goal"
+    is the mean time. There, --seed is the number of the first start and --seeds the number of starts, and there is a
+    driver human, which repeats the recorded drive of the vehicle in whose place it starts. --export DIR writes every
+    drive of a planning problem as two CommonRoad files, for example for commonroad-drivability-checker:
+    DIR/TRAFFIC/DRIVER/NAME.xml, the recording with the other vehicles as they moved in the episode, and
+    NAME.solution.xml, the ego's drive as states of a kinematic single-track model (KS2). In DRIVER and NAME, characters
+    that have a meaning in paths, such as : and /, become _, and digits follow that keep different names apart.
 
     Examples:
-      ms-highway bench road merge --drivers priced idm ms-highway bench road --seeds 100
-      --seed 1000 --json road.json --log road.csv ms-highway bench road roundabout
-      --drivers priced fixed:naive --traffic commuter --films films ms-highway bench
-      road roundabout-v1 exit-v1 --drivers commuter --traffic commuter --seeds 40
+      ms-highway bench road merge --drivers priced idm
+      ms-highway bench road --seeds 100 --seed 1000 --json road.json --log road.csv
+      ms-highway bench road roundabout --drivers priced fixed:naive --traffic commuter --films films
+      ms-highway bench road roundabout-v1 exit-v1 --drivers commuter --traffic commuter --seeds 40
       ms-highway bench road merge-v0 --drivers priced agents/dqn-merge-v0-0.zip
-      ms-highway --import notebooks.examples.agents bench road merge-v0 --drivers merges
-      idm ms-highway bench road recorded ms-highway bench road recorded --data us101
-      --traffic replay --drivers priced idm --export drives
+      ms-highway --import notebooks.examples.agents bench road merge-v0 --drivers merges idm
+      ms-highway bench road recorded
+      ms-highway bench road recorded --data us101 --traffic replay --drivers priced idm --export drives
     """
     import pandas as pd
 

@@ -98,18 +98,15 @@ def chosen_model(
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def evaluate(options: argparse.Namespace) -> None:
-    """Predict recorded drivers for up to 5 s and compare the predictions with their
-    paths. Constant velocity, highway-env's IDM and a fitted IDM predict the same
-    drivers from the same snapshots, one a second.
+    """Predict recorded drivers for up to 5 s and compare the predictions with their paths. Constant velocity,
+    highway-env's IDM and a fitted IDM predict the same drivers from the same snapshots, one a second.
 
-    With --folds instead of --theta, each fold is predicted by drivers learned from the
-    other folds. FDE, the distance at the horizon, and RMSE are in metres; a miss is
-    more than 2 m off; log p is the mean log density of the recorded position in 1/m^2;
-    "in 90 %" is the share of drivers in the region that holds 90 % of the predicted
-    probability.
+    With --folds instead of --theta, each fold is predicted by drivers learned from the other folds. FDE, the distance
+    at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
+    position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
 
-    With --figures, a directory gets figures of errors, likelihood and calibration and,
-    with --theta, of the predicted and recorded paths of all drivers at one moment.
+    With --figures, a directory gets figures of errors, likelihood and calibration and, with --theta, of the predicted
+    and recorded paths of all drivers at one moment.
 
     A warning says if FILE was learned from some of the same recordings.
 
@@ -187,24 +184,21 @@ def evaluate(options: argparse.Namespace) -> None:
     output("--out", "a .json file for the learned reward", required=True),
 )
 def fit(options: argparse.Namespace) -> None:
-    """Learn the weights of a reward by maximum entropy: maximise the likelihood of the
-    recorded controls in segments of --horizon steps of 0.1 s (Levine and Koltun 2012).
-    The curvature of the reward counts as at least half the smallest comfort weight. The
-    indicator of a collision has no gradient and is left out.
+    """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
+    --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts as at least half the smallest
+    comfort weight. The indicator of a collision has no gradient and is left out.
 
-    From real recordings, a second set of weights is learned from where drivers are 1 to
-    5 s later, together with the differences between drivers, their lane changes and the
-    errors of predictions. `ms-highway irl evaluate` predicts with these.
+    From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, together with the
+    differences between drivers, their lane changes and the errors of predictions. `ms-highway irl evaluate` predicts
+    with these.
 
-    Drivers that only stand, jump, drive backwards, were seen with a gap or are where
-    another one is, are left out with a warning. --out gets weights, temperature,
-    covariance, likelihoods, drivers, provenance and fingerprints of the recordings, by
-    which `ms-highway irl evaluate` knows them again.
+    Drivers that only stand, jump, drive backwards, were seen with a gap or are where another one is, are left out with
+    a warning. --out gets weights, temperature, covariance, likelihoods, drivers, provenance and fingerprints of the
+    recordings, by which `ms-highway irl evaluate` knows them again.
 
     Examples:
-      ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json ms-highway
-      irl fit --data us101 --learn headway closing_speed comfort_steering --out
-      theta.json
+      ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
+      ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json
     """
     from ms_highway.game.learned_reward import save
     from ms_highway.irl.learning import learn_reward
@@ -263,17 +257,15 @@ def fit(options: argparse.Namespace) -> None:
     number("--seed", 0, "seed of the first episode", 0, MAX_SEED),
 )
 def record(options: argparse.Namespace) -> None:
-    """Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari
-    data set, in $MINARI_DATASETS_PATH or ~/.minari/datasets.
+    """Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in
+    $MINARI_DATASETS_PATH or ~/.minari/datasets.
 
-    Every episode is on disk before the next begins; the same command continues a data
-    set after its last episode. With --driver keyboard the arrow keys drive: up and down
-    for speed, left and right to steer.
+    Every episode is on disk before the next begins; the same command continues a data set after its last episode. With
+    --driver keyboard the arrow keys drive: up and down for speed, left and right to steer.
 
     Examples:
-      ms-highway irl record --driver maxent --episodes 200 --dataset
-      ms-highway/maxent-v0 ms-highway irl record --driver keyboard --episodes 10
-      --dataset ms-highway/me-v0 --density sparse
+      ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0
+      ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse
     """
     from ms_highway.irl.demonstrations import record
 

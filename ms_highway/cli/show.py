@@ -63,13 +63,12 @@ KINDS = {
     option("--film-own", OWN, action="store_true"),
 )
 def report(options: argparse.Namespace) -> None:
-    """Make an HTML page, a single file that needs no network, of a directory of
-    `ms-highway compare`. The page begins with the answers in sentences. For each
-    scenario, it has a table, a film of two controllers and figures; at its end are the
-    settings, versions, machine and commands that made the results.
+    """Make an HTML page, a single file that needs no network, of a directory of `ms-highway compare`. The page begins
+    with the answers in sentences. For each scenario, it has a table, a film of two controllers and figures; at its end
+    are the settings, versions, machine and commands that made the results.
 
-    Results of others are safe to open: without --film-own, no code runs that they name.
-    With --out FILE.tex, only the tables are written, as LaTeX with booktabs.
+    Results of others are safe to open: without --film-own, no code runs that they name. With --out FILE.tex, only the
+    tables are written, as LaTeX with booktabs.
 
     Examples:
       ms-highway report results/compare
@@ -133,19 +132,16 @@ def report(options: argparse.Namespace) -> None:
     SET,
 )
 def video(options: argparse.Namespace) -> None:
-    """Film one episode from above: the road, the robot's plan, the predicted path of
-    the human, and a panel with the model in use, planning time and reward. The film
-    plays at true speed. Among several humans, each has the colour of the model that
-    predicts it, and the panel shows the number of humans per model, and the time and
-    budget of the step.
+    """Film one episode from above: the road, the robot's plan, the predicted path of the human, and a panel with the
+    model in use, planning time and reward. The film plays at true speed. Among several humans, each has the colour of
+    the model that predicts it, and the panel shows the number of humans per model, and the time and budget of the step.
 
-    With --against, a second controller drives from the same start. The film shows both,
-    one above the other, with name, mean reward per step and the time spent on planning
-    and deciding so far.
+    With --against, a second controller drives from the same start. The film shows both, one above the other, with name,
+    mean reward per step and the time spent on planning and deciding so far.
 
     Examples:
-      ms-highway video merger --seed 0 --out merger.mp4 ms-highway video merger
-      --controller tom --against learned:1 --width 640 --out merger.gif
+      ms-highway video merger --seed 0 --out merger.mp4
+      ms-highway video merger --controller tom --against learned:1 --width 640 --out merger.gif
     """
     from ms_highway.visualization import video
 
@@ -173,10 +169,9 @@ def video(options: argparse.Namespace) -> None:
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def validate(options: argparse.Namespace) -> None:
-    """Replay logged episodes of the paper's released code: plan from every logged
-    state, and compare controls, rewards, human controls and switching decisions with
-    the logs. The table has quantiles of the errors over all steps, in the units of the
-    logs.
+    """Replay logged episodes of the paper's released code: plan from every logged state, and compare controls, rewards,
+    human controls and switching decisions with the logs. The table has quantiles of the errors over all steps, in the
+    units of the logs.
 
     Examples:
       ms-highway validate reference/episodes --json
@@ -248,32 +243,26 @@ STATES = (
     simulates=True,
 )
 def frontier(options: argparse.Namespace) -> None:
-    """Search from each start for the order of human models with the highest
-    meta-reward: the reward less PRICE times the seconds T(M) of planning. The best
-    possible choice of models earns at least as much. The regret of a controller is this
-    meta-reward minus its own. The search also tries the orders that switching and other
-    --controllers chose.
+    """Search from each start for the order of human models with the highest meta-reward: the reward less PRICE times
+    the seconds T(M) of planning. The best possible choice of models earns at least as much. The regret of a controller
+    is this meta-reward minus its own. The search also tries the orders that switching and other --controllers chose.
 
-    The tables show the regrets of the fixed models, of the best order for all starts,
-    of other --controllers, and of switching and other controllers with a lambda at
-    their best lambda. --prices are the lambdas of the meta-reward; --lambdas are those
-    that switching decides with, and need not be a price. The best order and lambda are
-    chosen on the same starts as they are judged by. Everything is simulated, and
-    nothing is timed.
+    The tables show the regrets of the fixed models, of the best order for all starts, of other --controllers, and of
+    switching and other controllers with a lambda at their best lambda. --prices are the lambdas of the meta-reward;
+    --lambdas are those that switching decides with, and need not be a price. The best order and lambda are chosen on
+    the same starts as they are judged by. Everything is simulated, and nothing is timed.
 
-    Results go to --out: regrets.csv (a row per scenario, price and controller) and
-    orders.csv (the best order of every start), both of the last run; the figure
-    SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
-    episodes); settings.json and provenance.json, which say how they were made. Episodes
-    are kept after every round: the same command with the same --out resumes a search
-    that was stopped or killed, and one with more seeds, prices, lambdas or rounds uses
-    the episodes that are there. Results do not depend on the number of devices.
+    Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
+    start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
+    episodes); settings.json and provenance.json, which say how they were made. Episodes are kept after every round: the
+    same command with the same --out resumes a search that was stopped or killed, and one with more seeds, prices,
+    lambdas or rounds uses the episodes that are there. Results do not depend on the number of devices.
 
     Examples:
-      ms-highway frontier ms-highway frontier merger --seeds 10 --prices 0.3 3 --out
-      results/merger_frontier ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3
-      1 3 10 --rounds 16 --out results/wide ms-highway frontier merger --controllers
-      schedule:tom=6,naive random:naive=0.7,tom=0.3 --out results/blind
+      ms-highway frontier
+      ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
+      ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
+      ms-highway frontier merger --controllers schedule:tom=6,naive random:naive=0.7,tom=0.3 --out results/blind
     """
     import pandas as pd
 
@@ -382,27 +371,24 @@ def frontier(options: argparse.Namespace) -> None:
     simulates=True,
 )
 def learn(options: argparse.Namespace) -> None:
-    """Learn the value of computation in some scenarios, for the controller
-    learned:LAMBDA:FILE. Rollouts start from states of episodes: for some steps, one
-    model of the ladder predicts the human, and then the rule that was learned so far
-    chooses. Networks are fitted to the reward that each model earns beyond the cheapest
-    one, in several rounds. One file serves all lambdas and costs.
+    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. Rollouts start from
+    states of episodes: for some steps, one model of the ladder predicts the human, and then the rule that was learned
+    so far chooses. Networks are fitted to the reward that each model earns beyond the cheapest one, in several rounds.
+    One file serves all lambdas and costs.
 
-    Among several humans (dense-merge-v1, crossing-crowd-v1, dense_merge,
-    crossing_crowd), each model predicts the nearest one, two, three and four humans;
-    the value of a human is the reward that it adds. Such a file serves scenes with
-    several humans.
+    Among several humans (dense-merge-v1, crossing-crowd-v1, dense_merge, crossing_crowd), each model predicts the
+    nearest one, two, three and four humans; the value of a human is the reward that it adds. Such a file serves
+    scenes with several humans.
 
-    Starts are drawn anew, not by the numbered seeds of environments, so that
-    `ms-highway frontier` can measure the regret of learned:LAMBDA:FILE on held-out
-    starts. The same --seed gives the same values. Rollouts are kept beside the file
-    until it is written: the same command continues a run that was stopped or killed.
+    Starts are drawn anew, not by the numbered seeds of environments, so that `ms-highway frontier` can measure the
+    regret of learned:LAMBDA:FILE on held-out starts. The same --seed gives the same values. Rollouts are kept beside
+    the file until it is written: the same command continues a run that was stopped or killed.
 
     Examples:
-      ms-highway values learn merger give_way --out values.npz ms-highway compare merger
-      --controllers tom learned:1:values.npz ms-highway values learn dense-merge-v1
-      crossing-crowd-v1 --states 300 --out crowd.npz ms-highway --import zipper values
-      learn zipper --out zipper.npz
+      ms-highway values learn merger give_way --out values.npz
+      ms-highway compare merger --controllers tom learned:1:values.npz
+      ms-highway values learn dense-merge-v1 crossing-crowd-v1 --states 300 --out crowd.npz
+      ms-highway --import zipper values learn zipper --out zipper.npz
     """
     from shutil import rmtree
 

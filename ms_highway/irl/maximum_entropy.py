@@ -1,26 +1,21 @@
-"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded
-driving likely.
+"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
 
-The model: a driver draws the d controls u of a segment, in the planner's scaled units,
-from
+The model: a driver draws the d controls u of a segment, in the planner's scaled units, from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-where phi sums the features along the segment, comfort among them, while the other cars
-move as recorded. Let g and H be the gradient and the Hessian of R / T at the recorded
-controls. Laplace's approximation of the integral around these controls gives (Levine
-and Koltun 2012, Eq. 4)
+where phi sums the features along the segment, comfort among them, while the other cars move as recorded. Let g and H
+be the gradient and the Hessian of R / T at the recorded controls. Laplace's approximation of the integral around these
+controls gives (Levine and Koltun 2012, Eq. 4)
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
-The first term is large if the driver was near an optimum, the second if that optimum is
-sharp. g and H are linear in theta: the features' derivatives are computed once, and a
-fit then takes seconds.
+The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
+theta: the features' derivatives are computed once, and a fit then takes seconds.
 
-Real drivers are mostly near an optimum, and now and then far from it. Their temperature
-therefore varies from segment to segment: it is T times an inverse-gamma variable with
-both parameters ``nu / 2``. This makes p a multivariate Student t distribution with nu
-degrees of freedom, called its *tails*::
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature therefore varies from segment
+to segment: it is T times an inverse-gamma variable with both parameters ``nu / 2``. This makes p a multivariate
+Student t distribution with nu degrees of freedom, called its *tails*::
 
     log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
                + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)

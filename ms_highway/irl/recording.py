@@ -341,19 +341,17 @@ def track_of(recording: Recording, car: int) -> Track:
 
 
 def smoothed(recorded: Points) -> Track:
-    """Return the most likely track of a car, given its recorded positions and priors of
-    accelerations and jerks.
+    """Return the most likely track of a car, given its recorded positions and priors of accelerations and jerks.
 
-    Recorded speeds and headings are not used: they were derived from noisy positions.
-    With the distance of a step ``d = (v + v_next) dt / 2``, two linear least-squares
-    problems are solved in turn: one for the initial x, the initial speed v and the
-    accelerations a; one for the initial y, the initial heading h and the curvatures c::
+    Recorded speeds and headings are not used: they were derived from noisy positions. With the distance of a step
+    ``d = (v + v_next) dt / 2``, two linear least-squares problems are solved in turn: one for the initial x, the
+    initial speed v and the accelerations a; one for the initial y, the initial heading h and the curvatures c::
 
         x = x_0 + sum of d cos(h)    v = v_0 + sum of a dt
         y = y_0 + sum of d sin(h)    h = h_0 + sum of v c dt
 
-    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and
-    h_0: a standing car therefore keeps its heading, and its curvature decays to 0.
+    They penalise errors of position, jerks ``a'`` and ``v^2 c'``, and, weakly, a, c and h_0: a standing car therefore
+    keeps its heading, and its curvature decays to 0.
     """
     dt = TIME_STEP
     each = np.eye(len(recorded) - 1)

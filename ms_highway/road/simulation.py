@@ -277,8 +277,7 @@ def limited_control(
 def advance(
     scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control
 ) -> tuple[Car, Control]:
-    """Return the state one time step later, and the control within the grip, see
-    `limited_control`.
+    """Return the state one time step later, and the control within the grip, see `limited_control`.
 
     With the curvature k_r of the road in the middle of the step, and old values on the
     right-hand side::
@@ -290,8 +289,8 @@ def advance(
     2``, so the speed of the rear axle is ``u = v cos(beta)``.
 
     In each frame of the simulation, the car moves along its heading at the beginning of
-    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards
-    by ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
+    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards by
+    ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
     """
     control = limited_control(planning, state[3], wanted)
     s, d, heading, speed = state

@@ -1,9 +1,7 @@
-r"""Add a human model of your own: theory of mind in 8 gradient steps instead of 20, at
-40 % of the cost.
+r"""Add a human model of your own: theory of mind in 8 gradient steps instead of 20, at 40 % of the cost.
 
-A model is a rung of the ladder: a frozen dataclass with a name that predicts the human,
-or ``responds`` in the steps of its own `solver` (see `ms_highway.HumanModel`), alone
-and among several humans. Run it, or let a command know it::
+A model is a rung of the ladder: a frozen dataclass with a name that predicts the human, or ``responds`` in the steps of
+its own `solver` (see `ms_highway.HumanModel`), alone and among several humans. Run it, or let a command know it::
 
     python notebooks/examples/brief.py
     ms-highway --import notebooks.examples.brief compare merger give_way --set ladder=naive,brief \

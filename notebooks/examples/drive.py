@@ -1,5 +1,4 @@
-"""Drive one episode of Merger and print, step by step, which human model the robot
-plans with and why.
+"""Drive one episode of Merger and print, step by step, which human model the robot plans with and why.
 
 Run::
 

@@ -1,8 +1,7 @@
-"""Put humans on a stock highway-env road: commuters, who drive like the drivers
-recorded on US-101.
+"""Put humans on a stock highway-env road: commuters, who drive like the drivers recorded on US-101.
 
-Every commuter has a desired speed, a headway and a patience of its own. Commuters
-change lanes as highway-env's drivers do, and give way where ways meet. Run::
+Every commuter has a desired speed, a headway and a patience of its own. Commuters change lanes as highway-env's drivers
+do, and give way where ways meet. Run::
 
     python notebooks/examples/humans_in_highway.py
 """

@@ -1,8 +1,7 @@
 """Let a human drive as you say, and let the robot predict it by a model of yours.
 
-Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is
-beside it or just ahead; the model knows that. Run it, or make both known to any
-command::
+Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is beside it or just ahead; the
+model knows that. Run it, or make both known to any command::
 
     python notebooks/examples/own_human.py
     ms-highway --import notebooks.examples.own_human compare merger-v1 --set human_driver=polite \

@@ -1,16 +1,13 @@
-"""Train an agent to choose human models, by PPO in JAX on many environments at once;
-needs optax.
+"""Train an agent to choose human models, by PPO in JAX on many environments at once; needs optax.
 
-The agent chooses a model for every human in every step, and pays for the plan: its
-reward is r_R - lambda T(M). With one human its action space is Discrete, with several
-MultiDiscrete; the same network serves both::
+The agent chooses a model for every human in every step, and pays for the plan: its reward is r_R - lambda T(M). With
+one human its action space is Discrete, with several MultiDiscrete; the same network serves both::
 
     pip install -e ".[learning]"
     python notebooks/examples/train_in_jax.py merger-v1
     python notebooks/examples/train_in_jax.py dense_merge --set humans=3 --updates 20
 
-Prints the reward of the agent while it learns, and at the end beside random choice,
-``naive`` and ``learned:1``.
+Prints the reward of the agent while it learns, and at the end beside random choice, ``naive`` and ``learned:1``.
 """
 
 import argparse

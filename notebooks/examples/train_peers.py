@@ -1,9 +1,7 @@
-"""Train agents of stable-baselines3 in stock scenes of highway-env, as drivers for
-``ms-highway bench road``.
+"""Train agents of stable-baselines3 in stock scenes of highway-env, as drivers for ``ms-highway bench road``.
 
-DQN and PPO have the settings of highway-env's own examples, which train for 20,000
-steps; actions and observations are each environment's own. Writes
-``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable-baselines3::
+DQN and PPO have the settings of highway-env's own examples, which train for 20,000 steps; actions and observations are
+each environment's own. Writes ``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable-baselines3::
 
     pip install stable-baselines3
     python notebooks/examples/train_peers.py intersection-v0 --steps 100000 --seeds 0 1 2

@@ -1,9 +1,7 @@
-"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages
-that show it.
+"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
 
-Run it in the project's directory after any of the commands in
-`notebooks/results/README.md`; runs that do not lie in `results/` stay as they were
-kept::
+Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
+in `results/` stay as they were kept::
 
     python notebooks/results/collect.py
 """
