@@ -11,11 +11,11 @@ from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
 from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, Start, shipped_kind
+from ms_highway.data.learned_reward import shipped
 from ms_highway.envs.configuration import refuse_unknown
 from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
-from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import (
     COMMON_WEIGHTS,
@@ -62,7 +62,7 @@ COSTS_REMEDY = (
 REWARD_REMEDY = (
     "say 'learned', 'published', 'us101', or give finite weights by name, such as"
     " {'speed': 2, 'lane_alignment': 75}; weights that were learned are in"
-    " ms_highway.game.learned_reward.load(path).weights"
+    " ms_highway.data.learned_reward.load(path).weights"
 )
 LIMIT_REMEDY = (
     "give None for the usual limits, 'unlimited', or two positive bounds, (omega,"

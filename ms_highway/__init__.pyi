@@ -3,6 +3,7 @@
 from . import benchmarks as benchmarks
 from . import choice as choice
 from . import cli as cli
+from . import data as data
 from . import envs as envs
 from . import experiments as experiments
 from . import game as game

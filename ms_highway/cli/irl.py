@@ -117,7 +117,7 @@ def evaluate(options: argparse.Namespace) -> None:
     """
     import msgspec
 
-    from ms_highway.game.learned_reward import named
+    from ms_highway.data.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
     from ms_highway.irl.prediction import check_peers
     from ms_highway.irl.recording import known_from
@@ -200,7 +200,7 @@ def fit(options: argparse.Namespace) -> None:
       ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
       ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json
     """
-    from ms_highway.game.learned_reward import save
+    from ms_highway.data.learned_reward import save
     from ms_highway.irl.learning import learn_reward
     from ms_highway.visualization.irl import learned_tables
 

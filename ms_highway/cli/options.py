@@ -138,8 +138,8 @@ def configuration(options: argparse.Namespace) -> dict:
         ValueError: for anything but a key and a value, and for a file of a human's
             reward that cannot be read.
     """
+    from ms_highway.data.learned_reward import load
     from ms_highway.envs.settings import NAMED_REWARDS
-    from ms_highway.game.learned_reward import load
 
     config = {}
     for text in options.keys:

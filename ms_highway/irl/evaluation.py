@@ -9,7 +9,7 @@ import jax
 import msgspec
 import numpy as np
 
-from ms_highway.game.learned_drivers import LearnedDrivers
+from ms_highway.data.learned_drivers import LearnedDrivers
 from ms_highway.game.scene import leaders
 from ms_highway.irl.mixture import (
     Mixture,

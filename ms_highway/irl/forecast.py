@@ -8,14 +8,13 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.data.learned_drivers import LearnedDrivers
+from ms_highway.data.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.dynamics import without_turns
-from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
-from ms_highway.irl.snapshots import Snapshots
-from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
+from ms_highway.irl.snapshots import PAST_STEPS, STEPS, Snapshots
 
 # cars are padded to a multiple of this, so that functions are compiled for few numbers
 # of cars

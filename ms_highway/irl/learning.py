@@ -11,9 +11,9 @@ from importlib.metadata import version
 import jax
 import numpy as np
 
+from ms_highway.data.learned_reward import LearnedReward
 from ms_highway.game.dynamics import keep_velocity, observe
 from ms_highway.game.game import Game
-from ms_highway.game.learned_reward import LearnedReward
 from ms_highway.game.reward import COMFORT, RewardModel
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS

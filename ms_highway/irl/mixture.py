@@ -9,7 +9,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.game.learned_drivers import Spread
+from ms_highway.data.learned_drivers import Spread
 from ms_highway.irl.snapshots import Paths
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.runtime.arrays import Scalar, plain

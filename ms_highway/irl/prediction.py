@@ -19,23 +19,17 @@ import numpy as np
 from jax import numpy as jnp
 from msgspec import structs
 
-from ms_highway.game.dynamics import coast
-from ms_highway.game.learned_drivers import (
+from ms_highway.data.learned_drivers import (
     Drivers,
     FittedPeer,
     LearnedDrivers,
     NotNegative,
     Positive,
 )
+from ms_highway.game.dynamics import coast
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
-from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
-from ms_highway.irl.recording import CarFlags, Cars, CarStates
-from ms_highway.irl.snapshots import AT, SCALES, Snapshots
-from ms_highway.numerics.estimation import Parameters, minimum
-from ms_highway.planning.learned_driving import (
-    FREE_GAP,
-    STEPS,
+from ms_highway.irl.driving import (
     STEPS_PER_SECOND,
     lane_centre,
     leader_of,
@@ -43,6 +37,11 @@ from ms_highway.planning.learned_driving import (
     seen_states,
     shown_traits,
 )
+from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
+from ms_highway.irl.recording import CarFlags, Cars, CarStates
+from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots
+from ms_highway.numerics.estimation import Parameters, minimum
+from ms_highway.planning.learned_driving import FREE_GAP
 from ms_highway.planning.manoeuvres import idm_acceleration
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
@@ -317,7 +316,7 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     """Return the advantages of the lanes to the left and right [cars, 2, 6], and
     whether these lanes exist.
 
-    The advantages are those that `ms_highway.game.learned_drivers.Intention` weighs.
+    The advantages are those that `ms_highway.data.learned_drivers.Intention` weighs.
     """
     states = seen_states(snapshot.past[-1])
     centre = lane_centre(snapshot, 0)

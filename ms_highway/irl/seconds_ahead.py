@@ -15,7 +15,7 @@ from jax import numpy as jnp
 from msgspec import structs
 from scipy import optimize, special
 
-from ms_highway.game.learned_drivers import (
+from ms_highway.data.learned_drivers import (
     CHANGING,
     LEARNED,
     Drivers,
@@ -23,6 +23,7 @@ from ms_highway.game.learned_drivers import (
     LearnedDrivers,
     TraitPrior,
 )
+from ms_highway.irl.driving import lane_numbers, roll_out, shown_traits
 from ms_highway.irl.mixture import SIDES, fit_spread
 from ms_highway.irl.prediction import (
     fit_peers,
@@ -38,7 +39,6 @@ from ms_highway.numerics.estimation import (
     minimum,
     slope_differences,
 )
-from ms_highway.planning.learned_driving import lane_numbers, roll_out, shown_traits
 from ms_highway.runtime.arrays import Scalar, plain
 from ms_highway.runtime.process import Progress, silent
 

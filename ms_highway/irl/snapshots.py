@@ -24,8 +24,13 @@ from ms_highway.irl.recording import (
     Rows,
     numbered,
 )
-from ms_highway.planning.learned_driving import PAST_STEPS, STEPS
 from ms_highway.runtime.arrays import Vector
+
+PAST_STEPS = 30
+"""Steps of 0.1 s before a moment, from which the traits of drivers are inferred."""
+
+STEPS = 50
+"""Steps of 0.1 s after a moment, in which drivers drive."""
 
 HORIZONS = (1, 2, 3, 5)
 """Seconds after which predictions are compared with recordings."""

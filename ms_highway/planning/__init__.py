@@ -1,4 +1,4 @@
 """Plan under each human model of the ladder, pure and compiled.
 
-Imports `ms_highway.game` and what stands below it.
+Imports `ms_highway.data` and what stands below it.
 """

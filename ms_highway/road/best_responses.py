@@ -12,9 +12,9 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.data.learned_reward import commuter_weights
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
-from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import FAR_AWAY, Scene

@@ -11,8 +11,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.game.learned_drivers import RewardTraits
-from ms_highway.game.learned_reward import shipped_drivers
+from ms_highway.data.learned_drivers import RewardTraits
+from ms_highway.data.learned_reward import shipped_drivers
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.road_map import LIMIT, road_map
 from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration

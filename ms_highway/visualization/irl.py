@@ -12,8 +12,8 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from ms_highway.game.learned_drivers import LearnedDrivers
-from ms_highway.game.learned_reward import LearnedReward, log_normal_interval
+from ms_highway.data.learned_drivers import LearnedDrivers
+from ms_highway.data.learned_reward import LearnedReward, log_normal_interval
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with

@@ -21,6 +21,7 @@ from ms_highway.choice.learned_value import load_values
 from ms_highway.choice.rule import first_memory
 from ms_highway.cli.main import parse
 from ms_highway.cli.options import configuration
+from ms_highway.data.learned_reward import save, shipped
 from ms_highway.envs import (
     ENVIRONMENTS,
     SCENARIOS,
@@ -51,7 +52,6 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
-from ms_highway.game.learned_reward import save, shipped
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.planning.ladders import BEST, MODELS

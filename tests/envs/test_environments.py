@@ -8,10 +8,10 @@ from episodes import drive, make
 from gymnasium.utils.env_checker import check_env
 
 import ms_highway
+from ms_highway.data.learned_reward import shipped
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.envs.demonstration import ACTION
 from ms_highway.envs.game_env import Timing
-from ms_highway.game.learned_reward import shipped
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.planning.human_models import PredictedHuman

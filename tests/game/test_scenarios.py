@@ -6,8 +6,8 @@ import gymnasium
 import numpy as np
 import pytest
 
+from ms_highway.data.learned_reward import shipped
 from ms_highway.envs import ENVIRONMENTS, MergerEnv, add_scenario
-from ms_highway.game.learned_reward import shipped
 from ms_highway.game.scenario import HUMANS, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
 from ms_highway.game.starts import CARELESS_FACTOR, draw_episode

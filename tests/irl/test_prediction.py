@@ -16,7 +16,7 @@ from recordings import car, pedestrian, scenario
 from scipy import stats
 
 import ms_highway
-from ms_highway.game.learned_reward import load, save, shipped
+from ms_highway.data.learned_reward import load, save, shipped
 from ms_highway.irl.commonroad import read_directory
 from ms_highway.irl.evaluation import evaluate, metrics, prediction_errors
 from ms_highway.irl.mixture import (

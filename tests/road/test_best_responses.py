@@ -6,9 +6,9 @@ import pytest
 from jax import numpy as jnp
 from roads import PLANNING, scene_of
 
+from ms_highway.data.learned_reward import commuter_weights
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
-from ms_highway.game.learned_reward import commuter_weights
 from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene

@@ -1,6 +1,6 @@
 """Tables and figures of what was learned."""
 
-from ms_highway.game.learned_reward import shipped
+from ms_highway.data.learned_reward import shipped
 from ms_highway.irl.evaluation import LEVELS, Evaluation
 from ms_highway.irl.prediction import PREDICTORS
 from ms_highway.visualization.irl import evaluation_tables, learned_tables

@@ -1,6 +1,4 @@
-"""Hold learned parameters of drivers other than the reward: traits, lane changes and
-prediction errors.
-"""
+"""Hold what is learned of drivers besides rewards: traits, lane changes and errors."""
 
 from typing import Annotated, Any, NamedTuple
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from ms_highway.game.learned_reward import SHIPPED, load, save, shipped
+from ms_highway.data.learned_reward import SHIPPED, load, save, shipped
 from ms_highway.game.scenario import COMMON_WEIGHTS
 
 

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from jaxtyping import Float
 
-from ms_highway.game.learned_drivers import Finite, LearnedDrivers, Positive
+from ms_highway.data.learned_drivers import Finite, LearnedDrivers, Positive
 from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.arrays import Published, Structure, read
