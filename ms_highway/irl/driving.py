@@ -11,7 +11,7 @@ from ms_highway.game.scenario import TIME_STEP
 from ms_highway.game.scene import Leader, leaders
 from ms_highway.irl.snapshots import PAST_STEPS, STEPS, Snapshots
 from ms_highway.planning.learned_driving import (
-    FREE_GAP,
+    HELD_CONTROL,
     held_acceleration,
     held_curvature,
 )
@@ -67,7 +67,7 @@ def leader_of(
         states[:, 0], lane, others, not_itself, snapshot.lane_width / 2
     )
     gap = others[place, 0] - states[:, 0] - (lengths + lengths[place]) / 2
-    return Leader(jnp.where(there, gap, FREE_GAP), others[place, 3], there)
+    return Leader(jnp.where(there, gap, HELD_CONTROL.free_gap), others[place, 3], there)
 
 
 def roll_out(

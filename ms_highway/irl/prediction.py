@@ -26,6 +26,7 @@ from ms_highway.data.learned_drivers import (
     NotNegative,
     Positive,
 )
+from ms_highway.game.car_following import HIGHWAY_ENV_IDM, IdmParameters
 from ms_highway.game.dynamics import coast
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.game.scene import Leader
@@ -41,8 +42,7 @@ from ms_highway.irl.mixture import SIDES, Mixture, Modes, fit_spread
 from ms_highway.irl.recording import CarFlags, Cars, CarStates
 from ms_highway.irl.snapshots import AT, SCALES, STEPS, Snapshots
 from ms_highway.numerics.estimation import Parameters, minimum
-from ms_highway.planning.learned_driving import FREE_GAP
-from ms_highway.planning.manoeuvres import idm_acceleration
+from ms_highway.planning.learned_driving import HELD_CONTROL
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 
@@ -64,7 +64,7 @@ PREDICTORS = {
 
 
 @pytree
-class IdmParameters(Structure):
+class IdmPeer(Structure):
     """Parameters of the Intelligent Driver Model, and of its lane keeping.
 
     Attributes:
@@ -91,14 +91,41 @@ class IdmParameters(Structure):
     lengths: NotNegative = 1.0
     margin: NotNegative = 0.0
 
+    @property
+    def following(self) -> IdmParameters:
+        """How cars follow; without lengths, cars are points, whose bumpers are centres."""
+        return IdmParameters(
+            self.headway,
+            self.gap,
+            self.acceleration,
+            self.braking,
+            between="bumpers",
+        )
 
-HIGHWAY_ENV_IDM = IdmParameters(
-    0.0, 1.5, 10.0, 3.0, 5.0, 0.6, 0.2, lengths=0.0, margin=1.0
+
+HIGHWAY_ENV_PEER = IdmPeer(
+    speed=0.0,
+    headway=HIGHWAY_ENV_IDM.headway,
+    gap=HIGHWAY_ENV_IDM.standstill,
+    acceleration=HIGHWAY_ENV_IDM.max_acceleration,
+    braking=HIGHWAY_ENV_IDM.comfortable_braking,
+    settling=0.6,
+    steering=0.2,
+    lengths=0.0,
+    margin=1.0,
 )
 """Parameters of highway-env's IDMVehicle, whose desired speed is the one at the start.
 """
 
-FIRST_IDM = IdmParameters(20.0, 1.2, 2.0, 1.0, 2.0, 5.0, 0.5)
+FIRST_PEER = IdmPeer(
+    speed=20.0,
+    headway=1.2,
+    gap=2.0,
+    acceleration=1.0,
+    braking=2.0,
+    settling=5.0,
+    steering=0.5,
+)
 """Parameters that a fit starts from."""
 
 
@@ -149,7 +176,7 @@ def check_peers(learned: LearnedDrivers) -> None:
     for name, peer in learned.peers.items():
         if peer.parameters:
             try:
-                read(peer.parameters, IdmParameters)
+                read(peer.parameters, IdmPeer)
             except ValueError as error:
                 raise ValueError(f"drivers.peers.{name}.parameters: {error}") from error
 
@@ -168,7 +195,7 @@ def predict_peer(
         motion = coast(PAPER_DYNAMICS, snapshots.drivers(snapshots.now), STEPS)
         path = jnp.stack([motion.x, motion.y], axis=-1)
     else:
-        idm = read(parameters, IdmParameters) if parameters else HIGHWAY_ENV_IDM
+        idm = read(parameters, IdmPeer) if parameters else HIGHWAY_ENV_PEER
         path = snapshots.drivers(
             np.moveaxis(np.asarray(_idm_paths(idm, snapshots)), 1, 2)
         )
@@ -182,11 +209,11 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS
     over the logarithms of the parameters.
     """
-    first = np.log(jax.tree.leaves(FIRST_IDM)[:7])
+    first = np.log(jax.tree.leaves(FIRST_PEER)[:7])
     data = jax.device_put(snapshots)
     best = np.exp(minimum(_mean_idm_error, first, data, maxfun=EVALUATIONS)).tolist()
     parameters: dict[str, dict] = {name: {} for name in PREDICTORS if name != "model"}
-    parameters["fitted_idm"] = structs.asdict(IdmParameters(*best))
+    parameters["fitted_idm"] = structs.asdict(IdmPeer(*best))
     return {
         name: FittedPeer(
             own, fit_spread(predict_peer(name, snapshots, own), snapshots.recorded)
@@ -198,7 +225,7 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
 @jit_quickly
 @jax.value_and_grad
 def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
-    paths = _idm_of_all(IdmParameters(*jnp.exp(logarithms)), snapshots)
+    paths = _idm_of_all(IdmPeer(*jnp.exp(logarithms)), snapshots)
     errors, known = robust_errors(paths, snapshots.future, snapshots.predicted[:, None])
     return jnp.sum(errors) / jnp.sum(known)
 
@@ -230,7 +257,7 @@ def robust_errors(
 
 
 @partial(jax.vmap, in_axes=(None, 0))
-def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
+def _idm_of_all(parameters: IdmPeer, snapshot: Snapshots) -> CarStates:
     """Return the positions of all cars after each step [50, cars, 2]."""
     start = seen_states(snapshot.past[-1])
     lane = lane_centre(snapshot, 0)
@@ -246,13 +273,9 @@ def _idm_of_all(parameters: IdmParameters, snapshot: Snapshots) -> CarStates:
         x, y, heading, speed = state.T
         leader = leader_of(around, state, state, lane)
         gap = jnp.where(leader.there, leader.gap, jnp.inf)
-        own = (
-            parameters.headway,
-            parameters.gap,
-            parameters.acceleration,
-            parameters.braking,
+        acceleration = parameters.following.acceleration(
+            speed, desired, gap, leader.speed
         )
-        acceleration = idm_acceleration(speed, desired, gap, leader.speed, *own)
         moving = jnp.maximum(speed, 0.01)
         aim = jnp.arcsin(
             jnp.clip((lane - y) / (parameters.settling * moving), -SINE, SINE)
@@ -339,7 +362,8 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     def advantages(right: int) -> tuple[jax.Array, CarFlags]:
         beside = lane_centre(snapshot, right)
         other = leader_of(snapshot, states, states, beside)
-        room = jnp.clip(other.gap, 0.0, FREE_GAP) - jnp.clip(own.gap, 0.0, FREE_GAP)
+        most = HELD_CONTROL.free_gap
+        room = jnp.clip(other.gap, 0.0, most) - jnp.clip(own.gap, 0.0, most)
         sideways = [
             right * (y - centre) / snapshot.lane_width,
             right * drift,

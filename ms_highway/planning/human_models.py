@@ -20,12 +20,12 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import FREE_GAP, STREAM_IDM
 from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, constant_velocity, pair, swap_players
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.numerics.solvers import Ascent, Solver, longest_step
 from ms_highway.planning.joint import Interaction, KnownResponders, ascend, plan_against
-from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration
 from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.runtime.arrays import (
     Car,
@@ -35,11 +35,6 @@ from ms_highway.runtime.arrays import (
     naming_writes,
     read_only,
 )
-
-HEADWAY, STANDSTILL = (
-    0.1,
-    1.0,
-)  # s and m between bumpers: 3 m at 20 m/s, as in the streams of Dense Merge
 
 
 @dataclass(frozen=True)
@@ -194,9 +189,7 @@ def following_control(game: Game, state: State) -> Control:
     )
     gap = jnp.where(leads, offset[leader, 0] - jnp.asarray(scene.car_size)[0], FREE_GAP)
     limit = jnp.asarray(game.humans.speed_limit)
-    change = idm_acceleration(
-        own[3], limit, gap, others[leader, 3], HEADWAY, STANDSTILL
-    )
+    change = STREAM_IDM.acceleration(own[3], limit, gap, others[leader, 3])
     return keep_velocity(game.dynamics, own).at[1].add(change)
 
 

@@ -9,41 +9,62 @@ and the edges of the road are left out, as they matter little while driving in a
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float
 
 from ms_highway.data.learned_drivers import RewardTraits
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.features import ATTENTION_GAP, HEADING_SHARE, STANDSTILL_GAP
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.curve import namespace
+from ms_highway.runtime.arrays import Scalar
 
 AnyCars = Float[Any, "*cars"]
 
-UNIT = PAPER_UNIT  # m
-TURN_SCALE = (
-    1 / SPEED_LIMIT
-)  # 1/m, of the planner's scaled curvature, see `ms_highway.game.scenario`
-MAX_BRAKING, MAX_ACCELERATION, MAX_CURVATURE = 8.0, 4.0, 0.02  # m/s^2, m/s^2, 1/m
-TIMES = TIME_STEP * np.arange(1, 6)  # s, of the steps over which a control is held
 
-FREE_GAP = 60.0
-"""Distance to the leader if none is seen [m]."""
+@dataclass(frozen=True)
+class HeldControl:
+    """Set how learned drivers hold a control."""
+
+    steps: int = 5
+    """Number of steps over which they hold it, as in the paper's plans."""
+    max_curvature: float = 0.02
+    """Largest curvature to each side [1/m]."""
+    free_gap: float = 60.0
+    """Gap to the leader where none is seen [m]; such a leader has no attention."""
+    turn_scale: float = 1 / SPEED_LIMIT
+    """Unit of curvature in the comfort of steering [1/m], the planner's, see
+    `ms_highway.game.scenario`.
+    """
+
+    @property
+    def times(self) -> Float[np.ndarray, "steps"]:
+        """Time after each step [s]."""
+        return TIME_STEP * np.arange(1, self.steps + 1)
+
+
+HELD_CONTROL = HeldControl()
 
 
 def held_acceleration(
-    weights: Mapping[str, Any], traits: RewardTraits, speed: AnyCars, leader: Leader
+    weights: Mapping[str, Scalar], traits: RewardTraits, speed: AnyCars, leader: Leader
 ) -> AnyCars:
-    """Return the best acceleration to hold over `TIMES`, from -8 to 4 m/s^2.
+    """Return the best acceleration to hold, from -8 to 4 m/s^2 (`CAR_LIMITS`).
 
     With the speed ``v_k = v + a t_k`` and the gap ``g_k = g + (v_leader - v) t_k - a
-    t_k^2 / 2`` it maximises, with the attention w to the leader and the desired speed
-    s::
+    t_k^2 / 2`` it maximises, with the attention w to the leader, the desired speed s
+    and the unit of lengths U::
 
-        sum_k -speed ((v_k - s) / s)^2 - w headway ((g_k - 2 m - headway v_k) / U)^2
-              - w closing_speed ((v_k - v_leader) / s)^2 - patience comfort (a / (U / s^2))^2 / 2
+        sum_k - speed ((v_k - s) / s)^2
+              - w headway ((g_k - 2 m - headway v_k) / U)^2
+              - w closing_speed ((v_k - v_leader) / s)^2
+              - patience comfort (a / (U / s^2))^2 / 2
+
+    This is ``constant + slope a - bend a^2 / 2``, whose top is at ``slope / bend``.
 
     Args:
         weights: of the reward, by name, at any common scale.
@@ -52,39 +73,47 @@ def held_acceleration(
         leader: of each.
     """
     xp = namespace(traits.desired_speed, speed, leader.gap)
-    wish = xp.maximum(traits.desired_speed, 1.0)
-    attention = xp.where(
-        leader.there, xp.exp(-xp.maximum(leader.gap, 0.0) / (ATTENTION_GAP * UNIT)), 0.0
-    )
+    unit = PAPER_UNIT
+    desired_speed = xp.maximum(traits.desired_speed, 1.0)
+    gap = xp.maximum(leader.gap, 0.0)
+    attention = xp.where(leader.there, xp.exp(-gap / (ATTENTION_GAP * unit)), 0.0)
     closing = leader.speed - speed
+
+    # Comfort alone bends the reward whatever the traffic.
+    times = HELD_CONTROL.times
     slope = 0.0 * speed  # a float, also for whole speeds
-    bend = len(TIMES) * weights["comfort_acceleration"] * traits.patience / UNIT**2
-    for time in TIMES:
-        lack = (
-            leader.gap + closing * time - STANDSTILL_GAP * UNIT - traits.headway * speed
+    bend = len(times) * weights["comfort_acceleration"] * traits.patience / unit**2
+    for time in times:
+        # How far the gap exceeds the desired one without acceleration, and how much
+        # less it does per acceleration.
+        excess = leader.gap + closing * time - STANDSTILL_GAP * unit
+        excess = excess - traits.headway * speed
+        per_acceleration = time**2 / 2 + traits.headway * time
+
+        slope += (
+            2 * weights["speed"] * (desired_speed - speed) * time / desired_speed**2
         )
-        change = time**2 / 2 + traits.headway * time  # of the lack, per acceleration
-        slope += 2 * weights["speed"] * (wish - speed) * time / wish**2
-        slope += 2 * attention * weights["headway"] * lack * change / UNIT**2
-        slope += 2 * attention * weights["closing_speed"] * closing * time / wish**2
-        bend += (
-            2
-            * (weights["speed"] + attention * weights["closing_speed"])
-            * time**2
-            / wish**2
+        slope += (
+            2 * attention * weights["headway"] * excess * per_acceleration / unit**2
         )
-        bend += 2 * attention * weights["headway"] * change**2 / UNIT**2
-    return xp.clip(slope / bend, -MAX_BRAKING, MAX_ACCELERATION)
+        slope += (
+            2 * attention * weights["closing_speed"] * closing * time / desired_speed**2
+        )
+        of_speeds = weights["speed"] + attention * weights["closing_speed"]
+        bend += 2 * of_speeds * time**2 / desired_speed**2
+        bend += 2 * attention * weights["headway"] * per_acceleration**2 / unit**2
+    return xp.clip(slope / bend, -CAR_LIMITS.braking, CAR_LIMITS.acceleration)
 
 
 def held_curvature(
-    weights: Mapping[str, Any], offset: AnyCars, heading: AnyCars, speed: AnyCars
+    weights: Mapping[str, Scalar], offset: AnyCars, heading: AnyCars, speed: AnyCars
 ) -> AnyCars:
-    """Return the best curvature to hold over `TIMES`, at most 0.02 1/m to each side.
+    """Return the best curvature to hold, at most 0.02 1/m to each side.
 
     With the lateral position ``y_k = offset + v heading t_k + v^2 c t_k^2 / 2`` and the
     heading ``h_k = heading + v c t_k`` it maximises ``sum_k -lane_alignment (y_k / U)^2
-    - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort (c U 0.6)^2 / 2``.
+    - (direction + 0.01 lane_alignment) h_k^2 / 2 - comfort (c U 0.6)^2 / 2``, as
+    `held_acceleration` does.
 
     Args:
         weights: of the reward, by name.
@@ -93,21 +122,21 @@ def held_curvature(
         speed: [m/s].
     """
     xp = namespace(offset, speed)
-    straight = weights["direction"] + HEADING_SHARE * weights["lane_alignment"]
+    unit = PAPER_UNIT
+    alignment = weights["lane_alignment"]
+    straightness = weights["direction"] + HEADING_SHARE * alignment
+
+    times = HELD_CONTROL.times
+    comfort = len(times) * weights["comfort_steering"] / HELD_CONTROL.turn_scale**2
     slope = 0.0 * speed  # a float, also for whole speeds
-    bend = xp.full_like(speed, len(TIMES) * weights["comfort_steering"] / TURN_SCALE**2)
-    for time in TIMES:
+    bend = xp.full_like(speed, comfort)
+    for time in times:
+        # Lateral position and heading per curvature.
         aside = (speed * time) ** 2 / 2
         turned = speed * time
-        slope -= (
-            2
-            * weights["lane_alignment"]
-            * (offset + speed * time * heading)
-            * aside
-            / UNIT**2
-        )
-        slope -= straight * heading * turned
-        bend += (
-            2 * weights["lane_alignment"] * aside**2 / UNIT**2 + straight * turned**2
-        )
-    return xp.clip(slope / bend, -MAX_CURVATURE, MAX_CURVATURE)
+
+        slope -= 2 * alignment * (offset + speed * time * heading) * aside / unit**2
+        slope -= straightness * heading * turned
+        bend += 2 * alignment * aside**2 / unit**2 + straightness * turned**2
+    most = HELD_CONTROL.max_curvature
+    return xp.clip(slope / bend, -most, most)

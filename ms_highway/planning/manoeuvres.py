@@ -1,8 +1,7 @@
-"""Drive simply: into lanes and gaps, and behind the car ahead.
+"""Drive simply, into lanes and gaps.
 
 Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible starts of
-plans for seconds. Cars follow by the Intelligent Driver Model (Treiber, Hennecke and
-Helbing 2000).
+plans for seconds.
 """
 
 from collections.abc import Callable
@@ -16,7 +15,6 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
 from ms_highway.game.game import Game
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.geometry.curve import namespace
 from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
 
 STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
@@ -33,16 +31,6 @@ POSITION_GAIN, SPEED_GAIN = (
 )  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
 GAP_BRAKING, GAP_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
 ENTRY_TOLERANCE = 2.0  # m, from its place in a gap, within which a car changes lanes
-
-FREE_GAP = 1e3
-"""Distance to the car ahead if there is none [m]."""
-
-MAX_ACCELERATION, COMFORTABLE_BRAKING = (
-    3.0,
-    5.0,
-)  # m/s^2, highway-env's, behind the car ahead
-HEADWAY, STANDSTILL = 1.5, 10.0  # s, and m between centres, highway-env's
-MAX_BRAKING = 6.0  # m/s^2, behind the car ahead
 
 Ways = tuple[
     Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]
@@ -185,53 +173,3 @@ def _drive(
         return moved, (control / game.planner.control_scale, moved)
 
     return jax.lax.scan(go, car, around, steps)[1]
-
-
-def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of the values that count in the last axis, `FREE_GAP` where
-    none counts.
-    """
-    return jnp.where(where, values, FREE_GAP).min(axis=-1)
-
-
-def highest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the highest of the values that count in the last axis, minus `FREE_GAP`
-    where none counts.
-    """
-    return jnp.where(where, values, -FREE_GAP).max(axis=-1)
-
-
-def idm_acceleration(
-    speed: Numbers,
-    wanted: float | Numbers,
-    gap: Numbers,
-    ahead: Numbers,
-    headway: float | Numbers = HEADWAY,
-    standstill: float | Numbers = STANDSTILL,
-    strongest: float | Numbers = MAX_ACCELERATION,
-    braking: float | Numbers = COMFORTABLE_BRAKING,
-) -> Numbers:
-    """Return the acceleration of a follower, by default with highway-env's parameters;
-    arrays of NumPy or JAX.
-
-    The part of the desired gap that depends on speeds is at least 0, as in the paper;
-    in highway-env it may be negative behind a faster car.
-
-    Args:
-        speed: of the follower [m/s].
-        wanted: its desired speed [m/s].
-        gap: to the car ahead [m], between centres in highway-env; `FREE_GAP` without
-            one.
-        ahead: speed of that car [m/s].
-        headway: desired time gap [s].
-        standstill: desired gap between standing cars, measured like the gap [m].
-        strongest: acceleration from standstill on a free road [m/s^2].
-        braking: comfortable deceleration [m/s^2].
-    """
-    closing = speed * (speed - ahead) / (2 * (strongest * braking) ** 0.5)
-    xp = namespace(speed, wanted, gap, ahead)
-    desired = standstill + xp.maximum(speed * headway + closing, 0.0)
-    free = 1 - (speed / xp.maximum(wanted, 0.1)) ** 4
-    return xp.maximum(
-        strongest * (free - (desired / xp.maximum(gap, 0.5)) ** 2), -MAX_BRAKING
-    )

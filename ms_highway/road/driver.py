@@ -16,6 +16,7 @@ from jaxtyping import Float
 
 from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, Rule, decide_on, first_memory
+from ms_highway.game.car_following import TRAFFIC_LIMITS
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import (
     LATE,
@@ -31,7 +32,6 @@ from ms_highway.loop.step import (
 )
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.costs import Costs
-from ms_highway.planning.manoeuvres import MAX_BRAKING
 from ms_highway.planning.plans import Plan
 from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import Proposed, RoadPlan, no_plan, propose_road, respond_road
@@ -304,12 +304,9 @@ class RoadDriver:
         accelerations = np.nan_to_num(
             np.array(changes, np.float32) / float(self.planning.time_step)
         )
-        return replace(
-            scene,
-            accelerations=accelerations.clip(-MAX_BRAKING, MAX_BRAKING).astype(
-                np.float32
-            ),
-        )
+        hardest = TRAFFIC_LIMITS.braking
+        accelerations = accelerations.clip(-hardest, hardest).astype(np.float32)
+        return replace(scene, accelerations=accelerations)
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the number of the model of each car; naive for those that cannot move."""

@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import FREE_GAP, HIGHWAY_ENV_IDM, TRAFFIC_LIMITS
 from ms_highway.geometry.curve import Pose
 from ms_highway.perception.scene import (
     EachStep,
@@ -18,7 +19,6 @@ from ms_highway.perception.scene import (
     Steps,
     Traffic,
 )
-from ms_highway.planning.manoeuvres import FREE_GAP, MAX_BRAKING, idm_acceleration
 from ms_highway.road.constants import IDM, TOM
 from ms_highway.road.traffic import ROOM, Situation
 from ms_highway.runtime.arrays import Car
@@ -129,8 +129,10 @@ def follow_all(
     behind = jnp.where(
         (ahead > 0) & in_lane & (where[2] > SAME_WAY_COSINE), ahead, FREE_GAP
     )
-    by_leader = idm_acceleration(speeds, desired, gaps, speeds[scene.leaders])
-    return jnp.minimum(by_leader, idm_acceleration(speeds, desired, behind, speed))
+    idm = HIGHWAY_ENV_IDM
+    by_leader = idm.acceleration(speeds, desired, gaps, speeds[scene.leaders])
+    by_robot = idm.acceleration(speeds, desired, behind, speed)
+    return jnp.minimum(by_leader, by_robot)
 
 
 def accelerations_now(now: Situation) -> Traffic:
@@ -171,9 +173,9 @@ def move_traffic(
     modelled = jnp.where(
         behaviour.follows, follow_all(now, where, along, speeds, robot), given
     )
-    acceleration = jnp.clip(
-        jnp.minimum(modelled + residual, limit), -MAX_BRAKING, MAX_BRAKING
-    )
+    hardest = TRAFFIC_LIMITS.braking
+    acceleration = jnp.minimum(modelled + residual, limit)
+    acceleration = jnp.clip(acceleration, -hardest, hardest)
     acceleration = jnp.where(
         now.scene.moving, acceleration, -speeds
     )  # crashed cars slide to a stop

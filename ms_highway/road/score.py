@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
 from ms_highway.perception.scene import (
@@ -15,7 +16,6 @@ from ms_highway.perception.scene import (
     Plans,
     World,
 )
-from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, earlier
@@ -26,7 +26,9 @@ from ms_highway.road.traffic import (
     SAME_WAY,
     STANDING_SPEED,
     Situation,
+    highest,
     lane_of,
+    lowest,
 )
 from ms_highway.runtime.arrays import Numbers
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import FREE_GAP, ROBOT_IDM, TRAFFIC_LIMITS
 from ms_highway.geometry.curve import SPACING, Curve, Pose, interpolate
 from ms_highway.perception.scene import (
     EachStep,
@@ -16,11 +17,10 @@ from ms_highway.perception.scene import (
     Traffic,
     World,
 )
-from ms_highway.planning.manoeuvres import FREE_GAP, idm_acceleration, lowest
 from ms_highway.road.constants import RoadPlanning
 from ms_highway.road.following import Behaviour, along_paths, aside, move_traffic
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.traffic import ROOM, WAITING, Situation
+from ms_highway.road.traffic import ROOM, WAITING, Situation, lowest
 from ms_highway.runtime.arrays import Car, Control, ManyControls, Numbers, Scalar
 
 LIMITED_SPEED = 1.0  # m/s, below which curvature is limited as at this speed
@@ -34,9 +34,9 @@ STEERING_SPEED = 3.0  # m/s, below which steering is not sharper than at this sp
 PREVIEW = 0.4  # s, that the robot looks ahead for speed limits
 
 COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-MAX_ACCELERATION = 3.0  # m/s^2, to the desired speed
 FOLLOWING_GAIN = 2.0  # factor of the Intelligent Driver Model's acceleration
-HEADWAY, STANDSTILL = 0.7, 2.0  # s and m, between bumpers, of the robot
+# m/s, so high that the robot behind a car accelerates as if nothing else limited it
+UNLIMITED_SPEED = 1000.0
 CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
 CREEP_SPEED = 3.0  # m/s, lowest speed at which crossing cars are expected to arrive
 
@@ -230,16 +230,15 @@ def _control(
     safe = onward + jnp.sqrt(
         2 * CLOSE_BRAKING * jnp.maximum(gap - CLOSE_GAP - CLOSE_REACTION * speed, 0.0)
     )
-    kept = (
-        FOLLOWING_GAIN
-        * idm_acceleration(speed, FREE_GAP, gap, onward, HEADWAY, STANDSTILL).min()
-    )
+    followed = ROBOT_IDM.acceleration(speed, UNLIMITED_SPEED, gap, onward)
+    kept = FOLLOWING_GAIN * followed.min()
     kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
 
     free = COMFORT_GAIN * (
         jnp.minimum(cap, plan.share * planning.desired_speed) - speed
     )
-    free = jnp.minimum(jnp.clip(free, -MAX_ACCELERATION, MAX_ACCELERATION), kept)
+    comfort = TRAFFIC_LIMITS.acceleration
+    free = jnp.minimum(jnp.clip(free, -comfort, comfort), kept)
     acceleration = jnp.where(plan.follows, free, plan.rate)
     return jnp.stack(
         [

@@ -12,11 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.graphics import VehicleGraphics
 from highway_env.vehicle.kinematics import Vehicle
 
-from ms_highway.planning.manoeuvres import (
-    COMFORTABLE_BRAKING,
-    MAX_ACCELERATION,
-    STANDSTILL,
-)
+from ms_highway.game.car_following import HIGHWAY_ENV_IDM
 from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
@@ -173,6 +169,6 @@ def restore_traffic() -> None:
     than these have been set.
     """
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
-        IDMVehicle.DISTANCE_WANTED = STANDSTILL
-        IDMVehicle.COMFORT_ACC_MAX = MAX_ACCELERATION
-        IDMVehicle.COMFORT_ACC_MIN = -COMFORTABLE_BRAKING
+        IDMVehicle.DISTANCE_WANTED = HIGHWAY_ENV_IDM.standstill
+        IDMVehicle.COMFORT_ACC_MAX = HIGHWAY_ENV_IDM.max_acceleration
+        IDMVehicle.COMFORT_ACC_MIN = -HIGHWAY_ENV_IDM.comfortable_braking

@@ -10,9 +10,9 @@ from jax import numpy as jnp
 from jax.scipy.ndimage import map_coordinates
 from jaxtyping import Float
 
+from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.curve import interpolate
 from ms_highway.perception.scene import EachCar, EachFlag, PlanLanes, Plans
-from ms_highway.planning.manoeuvres import FREE_GAP
 from ms_highway.road.constants import LANE
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.simulation import DrivenPlans, target_of

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import jax
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.bodies import CORNERS
 from ms_highway.geometry.curve import (
     BEHIND,
@@ -18,7 +19,6 @@ from ms_highway.geometry.curve import (
     rotated,
 )
 from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
-from ms_highway.planning.manoeuvres import FREE_GAP, highest, lowest
 from ms_highway.road.constants import RoadPlanning, RoadWeights
 from ms_highway.road.swing import inside_of, sharpest_bends
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
@@ -270,3 +270,17 @@ def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
         [lowest(left, found) - needed / 2, highest(right, found) + needed / 2]
     )
     return Obstruction(found.any(), sides, lowest(first, found), highest(last, found))
+
+
+def lowest(values: Numbers, where: Numbers) -> Numbers:
+    """Return the lowest of the values that count in the last axis, `FREE_GAP` where
+    none counts.
+    """
+    return jnp.where(where, values, FREE_GAP).min(axis=-1)
+
+
+def highest(values: Numbers, where: Numbers) -> Numbers:
+    """Return the highest of the values that count in the last axis, minus `FREE_GAP`
+    where none counts.
+    """
+    return jnp.where(where, values, -FREE_GAP).max(axis=-1)

@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from reprlib import repr as shortened
-from typing import Annotated, Any, NoReturn, TypeAlias, TypeVar
+from typing import Annotated, Any, NewType, NoReturn, TypeAlias, TypeVar
 
 import jax
 import msgspec
@@ -45,7 +45,22 @@ Times: TypeAlias = Float[Any, "*times"]
 
 Weights: TypeAlias = Float[Any, "features"]
 HumansWeights: TypeAlias = Float[Any, "humans features"]
-Rungs: TypeAlias = Int[Any, "humans"]  # the place on the ladder of every human's model
+
+# A place on the ladder of the robot is not a place in a table of all models.
+RungIndex = NewType("RungIndex", int)
+"""Place on a ladder of human models, the cheapest first."""
+
+ModelIndex = NewType("ModelIndex", int)
+"""Place in a table of all models, such as `ms_highway.planning.ladders.PACKAGE_MODELS`
+or `ms_highway.road.constants.MODELS`, whatever the ladder in use.
+"""
+
+Rungs: TypeAlias = Int[Any, "humans"]
+"""`RungIndex` of every human's model."""
+
+ModelNumbers: TypeAlias = Int[Any, "humans"]
+"""`ModelIndex` of every human's model."""
+
 Gains: TypeAlias = Float[Any, "humans rungs"]
 Belief: TypeAlias = Float[Any, "humans models"]
 PerHuman: TypeAlias = Float[Any, "humans"]

@@ -13,10 +13,10 @@ from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.data.learned_drivers import RewardTraits
 from ms_highway.data.learned_reward import shipped_drivers
+from ms_highway.game.car_following import CAR_LIMITS, COMMUTER_IDM
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.road_map import LIMIT, road_map
-from ms_highway.planning.learned_driving import FREE_GAP, held_acceleration
-from ms_highway.vehicle.idm import COMMUTERS
+from ms_highway.planning.learned_driving import HELD_CONTROL, held_acceleration
 from ms_highway.vehicle.right_of_way import (
     GIVING_WAY,
     highest_acceleration,
@@ -38,7 +38,8 @@ class FollowingVehicle(IDMVehicle):
     at most. All else is as in highway-env's `IDMVehicle`.
     """
 
-    ACC_MAX = 8.0  # m/s^2, of braking; they accelerate by 4 at most
+    # Of braking; the learned reward accelerates by `CAR_LIMITS.acceleration` at most.
+    ACC_MAX = CAR_LIMITS.braking
 
     route: Route | None
     target_lane_index: LaneIndex
@@ -91,12 +92,12 @@ class FollowingVehicle(IDMVehicle):
         wish = self.preferred_acceleration(speed, wanted, gap, leader_speed)
 
         # Brake as hard as it takes not to touch the leader.
-        if gap < COMMUTERS.standstill / 2:
+        if gap < COMMUTER_IDM.standstill / 2:
             return -self.ACC_MAX
-        room = max(gap - COMMUTERS.standstill, 0.1)
+        room = max(gap - COMMUTER_IDM.standstill, 0.1)
         squares = max(speed**2 - leader_speed**2, 0.0)
         needed = squares / (2 * room)
-        return min(wish, -needed) if needed > COMMUTERS.braking else wish
+        return min(wish, -needed) if needed > COMMUTER_IDM.comfortable_braking else wish
 
     def preferred_acceleration(
         self,
@@ -115,7 +116,7 @@ class FollowingVehicle(IDMVehicle):
         """
         desired = self.traits.desired_speed * wanted
         own = self.traits._replace(desired_speed=desired)
-        leader = Leader(min(gap, FREE_GAP), leader_speed, np.isfinite(gap))
+        leader = Leader(min(gap, HELD_CONTROL.free_gap), leader_speed, np.isfinite(gap))
         return float(held_acceleration(shipped_drivers().weights, own, speed, leader))
 
 
@@ -124,7 +125,7 @@ class CommuterVehicle(FollowingVehicle):
 
     The traffic there hardly stops, so that at low speeds its reward makes cars crawl:
     commuters start off as the Intelligent Driver Model does, with
-    `ms_highway.vehicle.idm.COMMUTERS`. They steer and change lanes like highway-env's
+    `ms_highway.game.car_following.COMMUTER_IDM`. They steer and change lanes like highway-env's
     drivers (MOBIL). Where ways cross or meet, as in roundabouts, they give way as
     `ms_highway.vehicle.right_of_way` says, and stop where a ``RegulatedRoad`` tells
     them.
@@ -155,7 +156,7 @@ class CommuterVehicle(FollowingVehicle):
             return np.inf
         beside = (start, end, number + int(np.sign(wanted[2] - number)))
         ahead, _ = self.road.neighbour_vehicles(self, beside)
-        return max(self.acceleration(self, ahead), -COMMUTERS.braking)
+        return max(self.acceleration(self, ahead), -COMMUTER_IDM.comfortable_braking)
 
     def mobil(self, lane_index: LaneIndex) -> bool:
         """Return whether to change to a lane.
@@ -212,7 +213,7 @@ class CommuterVehicle(FollowingVehicle):
         See `ms_highway.vehicle.commuter.FollowingVehicle.preferred_acceleration`.
         """
         learned = super().preferred_acceleration(speed, wanted, gap, leader_speed)
-        starting = replace(COMMUTERS, headway=float(self.traits.headway))
+        starting = replace(COMMUTER_IDM, headway=float(self.traits.headway))
         return max(learned, starting.acceleration(speed, wanted, gap, leader_speed))
 
 
