@@ -1,4 +1,4 @@
-"""Define commands and their options; print what commands tell, and keep their results."""
+"""Define commands and their options, print what they tell and keep their results."""
 
 import argparse
 import io
@@ -8,6 +8,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import partial
 from inspect import getdoc
 from pathlib import Path
@@ -24,15 +25,31 @@ if TYPE_CHECKING:
 
     from ms_highway.experiments.directory import ResultsDirectory
 
-PAGE_WIDTH = 120  # characters of help texts, where the terminal has not fewer
-COLUMN = 26  # characters before the second column of rows in help texts
+
+@dataclass(frozen=True)
+class HelpLayout:
+    """Set the layout of help texts."""
+
+    max_width: int = 120
+    """Largest number of characters in a line, in terminals that are wider."""
+    second_column: int = 26
+    """Characters before the second column of rows, where wrapped lines go on."""
+
+    def width(self) -> int:
+        """Return the number of characters in a line, in the present terminal."""
+        # argparse leaves the last two columns of a terminal free, too.
+        return min(get_terminal_size().columns, self.max_width) - 2
+
+
+HELP = HelpLayout()
 
 PROGRESS_SECONDS = 60.0
-"""Time between two lines about progress where standard error is no terminal."""
+"""Time between two lines about progress where standard error is no terminal [s]."""
 
-MOST = 1_000_000
-"""Largest number of episodes, parts and other counts; more would take years or all
-memory.
+MAX_COUNT = 1_000_000
+"""Largest number of episodes, parts and other counts.
+
+More would take years or all memory.
 """
 
 
@@ -50,35 +67,39 @@ class Option(NamedTuple):
     notes: str = ""
 
 
-def option(name: str, text: str, default: Any = None, **more: Any) -> Option:
+def option(
+    name: str,
+    text: str,
+    default: str | float | Sequence[str | float] | None = None,
+    **more: object,
+) -> Option:
     """Return an option; append its default, if any, to its help text."""
-    if default is not None and default != []:
-        shown = (
-            default
-            if isinstance(default, (str, float, int))
-            else " ".join(map(str, default))
-        )
-        text += f" (default: {shown})"
+    if isinstance(default, (str, float, int)):
+        text += f" (default: {default})"
+    elif default:
+        text += f" (default: {' '.join(map(str, default))})"
     return Option(name, {"help": text, "default": default, **more})
 
 
 def number(
     name: str,
-    default: Any,
+    default: float | Sequence[float] | None,
     text: str,
     least: float = 1,
-    most: float = MOST,
-    **more: Any,
+    most: float = MAX_COUNT,
+    **more: object,
 ) -> Option:
-    """Return an option that is a number in a range, a whole number unless ``least`` is
-    a float.
+    """Return an option that is a number in a range.
+
+    It is a whole number unless ``least`` is a float.
     """
     kind = type(least)
 
     def read(word: str) -> float:
         with suppress(ValueError):
-            if least <= kind(word) <= most:
-                return kind(word)
+            value = kind(word)
+            if least <= value <= most:
+                return value
         whole = "whole " if kind is int else ""
         raise argparse.ArgumentTypeError(
             f"{word!r} is no {whole}number from {least:,} to {most:,}"
@@ -88,14 +109,27 @@ def number(
 
 
 def output(
-    name: str, text: str, *ends: str, directory: bool = False, **more: Any
+    name: str,
+    text: str,
+    *ends: str,
+    directory: bool = False,
+    default: str | None = None,
+    **more: object,
 ) -> Option:
-    """Return an option that is the path of a writable file whose name has one of these
-    ends, or of a directory.
+    """Return an option that is the path of a file or directory to write.
+
+    Args:
+        name: of the option.
+        text: its help text.
+        ends: endings of the file's name, one of which it must have; any without these.
+        directory: whether it is the path of a directory.
+        default: path if the option is not given.
+        more: arguments of `argparse.ArgumentParser.add_argument`.
     """
 
     def path(word: str) -> Path:
-        word.encode()  # fails for a name that UTF-8 results cannot contain
+        # This fails for a name that results in UTF-8 cannot contain.
+        word.encode()
         check_writable(Path(word), directory)
         if not word.endswith(ends or ""):
             raise argparse.ArgumentTypeError(
@@ -103,7 +137,8 @@ def output(
             )
         return Path(word)
 
-    return option(name, text, type=path, metavar="DIR" if directory else "FILE", **more)
+    metavar = "DIR" if directory else "FILE"
+    return option(name, text, default, type=path, metavar=metavar, **more)
 
 
 class Command(NamedTuple):
@@ -116,7 +151,7 @@ class Command(NamedTuple):
         simulates: whether it computes many episodes at once instead of plans one after
             the other.
         run: takes the parsed options. Its docstring is the help text; the part behind
-            ``Examples:`` is printed unchanged.
+            ``Examples:`` is printed unchanged, so that users can copy its lines.
     """
 
     name: str
@@ -125,7 +160,7 @@ class Command(NamedTuple):
     simulates: bool
     run: Callable[[argparse.Namespace], None]
 
-    def add_to(self, commands: Any) -> None:
+    def add_to(self, commands: "argparse._SubParsersAction[Parser]") -> None:
         """Add a parser of the command's options to those of other commands."""
         text, _, examples = (getdoc(self.run) or "").partition("\n\nExamples:\n")
         notes = [wrapped_text(each.notes) for each in self.options if each.notes]
@@ -149,9 +184,8 @@ class Parser(argparse.ArgumentParser):
     """A parser that accepts no abbreviations and refuses arguments in one line."""
 
     def __init__(self, **more: Any) -> None:
-        super().__init__(
-            formatter_class=layout, allow_abbrev=False, **more
-        )  # --seed must not mean --seeds
+        # Without abbreviations: --seed must not mean --seeds.
+        super().__init__(formatter_class=layout, allow_abbrev=False, **more)
 
     def error(self, message: str) -> NoReturn:
         """Refuse arguments.
@@ -164,38 +198,31 @@ class Parser(argparse.ArgumentParser):
         )
 
 
-def help_width() -> int:
-    """Return the number of characters in a line of help texts."""
-    return min(get_terminal_size().columns, PAGE_WIDTH) - 2
-
-
 def layout(prog: str) -> argparse.HelpFormatter:
     """Return argparse's formatter of options, which leaves other texts as they are."""
-    return argparse.RawDescriptionHelpFormatter(prog, width=help_width())
+    return argparse.RawDescriptionHelpFormatter(prog, width=HELP.width())
 
 
 def wrapped_text(text: str) -> str:
     """Wrap paragraphs and, in rows that begin with two spaces, the second column."""
-    rows = []
-    for row in re.split(r"\n(?=\n|  \S)", text.rstrip()):
-        wrap = textwrap.TextWrapper(help_width(), break_on_hyphens=False)
-        wrap.subsequent_indent = " " * COLUMN * row.startswith("  ")
-        rows.append(
-            "\n" * row.startswith("\n")
-            + wrap.fill(re.sub(r"\n\s*", " ", row.strip("\n")))
-        )
-    return "\n".join(rows)
+    blocks = []
+    for block in re.split(r"\n(?=\n|  \S)", text.rstrip()):
+        wrap = textwrap.TextWrapper(HELP.width(), break_on_hyphens=False)
+        if block.startswith("  "):
+            wrap.subsequent_indent = " " * HELP.second_column
+        blank_line = "\n" if block.startswith("\n") else ""
+        words = re.sub(r"\n\s*", " ", block.strip("\n"))
+        blocks.append(blank_line + wrap.fill(words))
+    return "\n".join(blocks)
 
 
 def replace_unprintable() -> None:
-    """Let standard output print a question mark for each character that its encoding
-    lacks, such as ² in ASCII.
+    """Let standard output print a question mark for what its encoding lacks.
 
-    Python does so for standard error by itself.
+    In ASCII, this is for example ². Python does so for standard error by itself.
     """
-    if isinstance(
-        sys.stdout, io.TextIOWrapper
-    ):  # not None, as after ``>&-``, nor that of a notebook
+    # It may be None, as after ``>&-``, or that of a notebook.
+    if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")
 
 
@@ -218,9 +245,8 @@ def printing() -> Iterator[None]:
         yield
         print(end="", flush=True)
     except OSError as error:
-        os.dup2(
-            os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno()
-        )  # or Python would try again when it exits
+        # Otherwise Python would try again when it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(error, BrokenPipeError):
             raise OSError(
                 f"standard output cannot be written: {error.strerror}"
@@ -244,8 +270,10 @@ def warn(message: object) -> None:
 
 
 def print_tables(*tables: "DataFrame") -> None:
-    """Print tables: no wider than the terminal or COLUMNS; with a line per row where
-    the output is no terminal.
+    """Print tables.
+
+    In a terminal, they are no wider than it (or COLUMNS); elsewhere, every row is a
+    line.
     """
     from ms_highway.visualization.tables import printed
 
@@ -290,14 +318,13 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     start = perf_counter()
 
     def progress() -> str:
-        """Say how many episodes are done and, from the first new one on, how long the
-        others will take.
-        """
+        """Say how many episodes are done and, after a new one, how long others take."""
+        message = f"episodes: {done:,} of {total:,}"
         new = done - already
-        left = (total - done) * (perf_counter() - start) / max(new, 1)
-        return f"episodes: {done:,} of {total:,}" + (
-            f", {left:.0f} s left" if new else ""
-        )
+        if not new:
+            return message
+        left = (total - done) * (perf_counter() - start) / new
+        return f"{message}, {left:.0f} s left"
 
     if is_terminal(sys.stderr):
         for count in counts:
@@ -312,11 +339,12 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
     return done
 
 
-def record(
+def record_run(
     results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True
 ) -> None:
-    """Record the command and versions that make the results; warn if earlier results
-    were made with others.
+    """Record the command and the versions that make results.
+
+    Warn if earlier results were made with other versions.
 
     Args:
         results: directory of the results.
@@ -325,18 +353,17 @@ def record(
     """
     from ms_highway.experiments.directory import this_run
 
-    differing = (
-        results.record(options.command_line)
-        if computes
-        else results.differing(this_run())
-    )
-    if differing and computes:
-        warn(f"{options.out} continues with {differing}; results may not agree")
-    elif differing:
-        warn(
+    if computes:
+        differing = results.record(options.command_line)
+        warning = f"{options.out} continues with {differing}; results may not agree"
+    else:
+        differing = results.differing(this_run())
+        warning = (
             f"{options.out} was computed by other software ({differing} now); nothing"
             " is computed again"
         )
+    if differing:
+        warn(warning)
 
 
 def save_figures(

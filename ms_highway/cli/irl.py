@@ -21,6 +21,7 @@ from ms_highway.cli.options import FORMAT
 from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
 if TYPE_CHECKING:
+    from ms_highway.data.learned_reward import LearnedReward
     from ms_highway.game.reward import RewardModel
     from ms_highway.irl.recording import Recording
 
@@ -28,24 +29,15 @@ MINARI = "minari:"
 """Prefix of a Minari data set's name on the command line."""
 
 DENSITY_NAMES = ("sparse", "medium", "dense")
-"""Keys of `ms_highway.envs.demonstration.DENSITIES`, repeated so that help needs no
-JAX.
-"""
+"""Keys of `ms_highway.envs.demonstration.DENSITIES`; help needs no JAX to show them."""
 
-HORIZON = 5  # steps, as the paper plans
-MAX_STEPS = 1000  # in a segment
-MAX_SEED = 2**32 - 1  # that JAX's random numbers take
-
-DATA = (
+RECORDINGS = option(
+    "--data",
     "a directory of CommonRoad scenarios (*.xml, *.xml.gz), or a Minari data set of"
-    " `ms-highway irl record`"
+    " `ms-highway irl record`",
+    required=True,
+    metavar="DIR|minari:NAME",
 )
-LEARNED = (
-    f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; from a Minari"
-    f" data set only {', '.join(SIMULATED_WEIGHTS)}); comfort weights that are not"
-    " learned are 0.1 and set the scale"
-)
-RECORDINGS = option("--data", DATA, required=True, metavar="DIR|minari:NAME")
 
 
 def read_recordings(data: str) -> "list[Recording]":
@@ -59,11 +51,38 @@ def read_recordings(data: str) -> "list[Recording]":
     return read_directory(Path(data))
 
 
+def reward_with_drivers(name: str) -> "LearnedReward":
+    """Return the reward that ``--theta`` names, which predicts real drivers.
+
+    Raises:
+        ValueError: if no drivers were learned with it, or none that can be predicted
+            with.
+    """
+    from ms_highway.data.learned_reward import named
+    from ms_highway.irl.prediction import check_peers
+
+    reward = named(name)
+    if not reward.drivers:
+        raise ValueError(
+            f"--theta {name} has no drivers that were learned from real recordings;"
+            " use us101"
+        )
+    try:
+        check_peers(reward.drivers)
+    except ValueError as error:
+        raise ValueError(f"--theta {name} cannot be used ({error})") from error
+    return reward
+
+
 def chosen_model(
     learn: list[str] | None, recordings: "list[Recording]"
 ) -> "RewardModel":
-    """Return the reward model with the weights of ``--learn``, by default one that
-    suits the recordings.
+    """Return the reward model whose weights are learned.
+
+    Args:
+        learn: names of the weights of ``--learn``; by default, those that suit the
+            recordings.
+        recordings: that it is learned from.
 
     Raises:
         ValueError: for an impossible model.
@@ -98,15 +117,19 @@ def chosen_model(
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def evaluate(options: argparse.Namespace) -> None:
-    """Predict recorded drivers for up to 5 s and compare the predictions with their paths. Constant velocity,
-    highway-env's IDM and a fitted IDM predict the same drivers from the same snapshots, one a second.
+    """Predict recorded drivers for up to 5 s and compare predictions with their paths.
 
-    With --folds instead of --theta, each fold is predicted by drivers learned from the other folds. FDE, the distance
-    at the horizon, and RMSE are in metres; a miss is more than 2 m off; log p is the mean log density of the recorded
-    position in 1/m^2; "in 90 %" is the share of drivers in the region that holds 90 % of the predicted probability.
+    Constant velocity, highway-env's IDM and a fitted IDM predict the same drivers from
+    the same snapshots, one a second.
 
-    With --figures, a directory gets figures of errors, likelihood and calibration and, with --theta, of the predicted
-    and recorded paths of all drivers at one moment.
+    With --folds instead of --theta, each fold is predicted by drivers learned from the
+    other folds. FDE, the distance at the horizon, and RMSE are in metres; a miss is
+    more than 2 m off; log p is the mean log density of the recorded position in 1/m^2;
+    "in 90 %" is the share of drivers in the region that holds 90 % of the predicted
+    probability.
+
+    With --figures, a directory gets figures of errors, likelihood and calibration and,
+    with --theta, of the predicted and recorded paths of all drivers at one moment.
 
     A warning says if FILE was learned from some of the same recordings.
 
@@ -117,9 +140,7 @@ def evaluate(options: argparse.Namespace) -> None:
     """
     import msgspec
 
-    from ms_highway.data.learned_reward import named
     from ms_highway.irl.evaluation import evaluate
-    from ms_highway.irl.prediction import check_peers
     from ms_highway.irl.recording import known_from
     from ms_highway.visualization.irl import (
         PANELS,
@@ -133,20 +154,8 @@ def evaluate(options: argparse.Namespace) -> None:
             "give either --theta FILE, to predict by, or --folds N, to learn and"
             " predict"
         )
-    reward = named(options.theta) if options.theta else None
+    reward = reward_with_drivers(options.theta) if options.theta else None
     learned = reward.drivers if reward else None
-    if reward and not learned:
-        raise ValueError(
-            f"--theta {options.theta} has no drivers that were learned from real"
-            " recordings; use us101"
-        )
-    if learned:
-        try:
-            check_peers(learned)
-        except ValueError as error:
-            raise ValueError(
-                f"--theta {options.theta} cannot be used ({error})"
-            ) from error
     recordings = read_recordings(options.data)
     known = known_from(recordings, reward.learned_from) if reward else []
     if known:
@@ -173,42 +182,46 @@ def evaluate(options: argparse.Namespace) -> None:
     "irl fit",
     "learn a reward",
     RECORDINGS,
-    option("--learn", LEARNED, nargs="+", metavar="WEIGHT"),
-    number(
-        "--horizon",
-        HORIZON,
-        "length of segments, in steps",
-        most=MAX_STEPS,
-        metavar="K",
+    option(
+        "--learn",
+        f"names of the weights to learn (default: {', '.join(REAL_WEIGHTS)}; from a"
+        f" Minari data set only {', '.join(SIMULATED_WEIGHTS)}); comfort weights that"
+        " are not learned are 0.1 and set the scale",
+        nargs="+",
+        metavar="WEIGHT",
     ),
+    # 5 steps, as the paper plans.
+    number("--horizon", 5, "length of segments, in steps", most=1000, metavar="K"),
     output("--out", "a .json file for the learned reward", required=True),
 )
 def fit(options: argparse.Namespace) -> None:
-    """Learn the weights of a reward by maximum entropy: maximise the likelihood of the recorded controls in segments of
-    --horizon steps of 0.1 s (Levine and Koltun 2012). The curvature of the reward counts as at least half the smallest
-    comfort weight. The indicator of a collision has no gradient and is left out.
+    r"""Learn the weights of a reward by maximum entropy.
 
-    From real recordings, a second set of weights is learned from where drivers are 1 to 5 s later, together with the
-    differences between drivers, their lane changes and the errors of predictions. `ms-highway irl evaluate` predicts
-    with these.
+    Maximise the likelihood of the recorded controls in segments of --horizon steps of
+    0.1 s (Levine and Koltun 2012). The curvature of the reward counts as at least half
+    the smallest comfort weight. The indicator of a collision has no gradient and is
+    left out.
 
-    Drivers that only stand, jump, drive backwards, were seen with a gap or are where another one is, are left out with
-    a warning. --out gets weights, temperature, covariance, likelihoods, drivers, provenance and fingerprints of the
-    recordings, by which `ms-highway irl evaluate` knows them again.
+    From real recordings, a second set of weights is learned from where drivers are 1 to
+    5 s later, together with the differences between drivers, their lane changes and the
+    errors of predictions. `ms-highway irl evaluate` predicts with these.
+
+    Drivers that only stand, jump, drive backwards, were seen with a gap or are where
+    another one is, are left out with a warning. --out gets weights, temperature,
+    covariance, likelihoods, drivers, provenance and fingerprints of the recordings, by
+    which `ms-highway irl evaluate` knows them again.
 
     Examples:
       ms-highway irl fit --data minari:ms-highway/maxent-v0 --out theta.json
-      ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering --out theta.json
+      ms-highway irl fit --data us101 --learn headway closing_speed comfort_steering \
+        --out theta.json
     """
     from ms_highway.data.learned_reward import save
     from ms_highway.irl.learning import learn_reward
     from ms_highway.visualization.irl import learned_tables
 
-    source = (
-        options.data
-        if options.data.startswith(MINARI)
-        else Path(options.data).resolve().name
-    )
+    is_data_set = options.data.startswith(MINARI)
+    source = options.data if is_data_set else Path(options.data).resolve().name
     recordings = read_recordings(options.data)
     model = chosen_model(options.learn, recordings)
     learned = learn_reward(recordings, model, options.horizon, source, progress=tell)
@@ -254,22 +267,28 @@ def fit(options: argparse.Namespace) -> None:
         metavar="DENSITY",
     ),
     option("--temperature", "of the driver maxent, in reward", TEMPERATURE, type=float),
-    number("--seed", 0, "seed of the first episode", 0, MAX_SEED),
+    # The largest seed is that of JAX's random numbers.
+    number("--seed", 0, "seed of the first episode", 0, 2**32 - 1),
 )
 def record(options: argparse.Namespace) -> None:
-    """Record episodes of driving on a highway (ms-highway/demonstration-v0) as a Minari data set, in
+    r"""Record episodes of driving on a highway as a Minari data set.
+
+    The environment is ms-highway/demonstration-v0. The data set is in
     $MINARI_DATASETS_PATH or ~/.minari/datasets.
 
-    Every episode is on disk before the next begins; the same command continues a data set after its last episode. With
-    --driver keyboard the arrow keys drive: up and down for speed, left and right to steer.
+    Every episode is on disk before the next begins; the same command continues a data
+    set after its last episode. With --driver keyboard the arrow keys drive: up and down
+    for speed, left and right to steer.
 
     Examples:
-      ms-highway irl record --driver maxent --episodes 200 --dataset ms-highway/maxent-v0
-      ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 --density sparse
+      ms-highway irl record --driver maxent --episodes 200 \
+        --dataset ms-highway/maxent-v0
+      ms-highway irl record --driver keyboard --episodes 10 --dataset ms-highway/me-v0 \
+        --density sparse
     """
     from ms_highway.irl.demonstrations import record
 
-    asked = (
+    counts = record(
         options.driver,
         options.episodes,
         options.dataset,
@@ -277,7 +296,6 @@ def record(options: argparse.Namespace) -> None:
         options.seed,
         options.temperature,
     )
-    counts = record(*asked)
     already = next(counts)
     done = count_episodes(counts, already, options.episodes)
     say(

@@ -10,19 +10,16 @@ from collections.abc import Sequence
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from ms_highway.cli.console import MOST, Option, number, option, output
+from ms_highway.cli.console import MAX_COUNT, Option, number, option, output
 from ms_highway.runtime.names import SCENARIO_CLASSES
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
 
-MAX_LAMBDAS = 10_000
-"""Largest number of lambdas in a range."""
-
-MAX_SEEDS = 2**63 - 1 - MOST
-"""Largest first seed: Parquet's integers hold it and `MOST` seeds from it on."""
+MAX_FIRST_SEED = 2**63 - 1 - MAX_COUNT
+"""Largest first seed: Parquet's integers hold it and `MAX_COUNT` seeds from it on."""
 
 CONTROLLERS = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA,"
@@ -32,37 +29,48 @@ CONTROLLERS = (
 )
 """Short names of controllers, for help texts."""
 
-LEARNED = "learned:1"
-"""The default controller of commands, the best of the package."""
+DEFAULT_CONTROLLER = "learned:1"
+"""The controller of commands if none is named, the best of the package."""
 
-KEYS = """\
---set changes a key of the environments' configuration, and may be repeated. help(ms_highway.InteractionEnv) lists all
-keys; the most useful ones are:
+SET_NOTES = """\
+--set changes a key of the environments' configuration, and may be repeated.
+help(ms_highway.InteractionEnv) lists all keys; the most useful ones are:
 
-  semantics=released      paper, the paper's dynamics and a damped theory of mind (default); physical, the same within
-                          what tyres hold (default of scenarios that end in -v1); or released, exactly the paper's
-                          released code
-  human_reward=published  what humans drive for: learned from demonstrations (default), published (default in released
-                          semantics), us101, learned from drivers on that highway, or a file that `ms-highway irl fit`
+  semantics=released      paper, the paper's dynamics and a damped theory of mind
+                          (default); physical, the same within what tyres hold (default
+                          of scenarios that end in -v1); or released, exactly the
+                          paper's released code
+  human_reward=published  what humans drive for: learned from demonstrations (default),
+                          published (default in released semantics), us101, learned from
+                          drivers on that highway, or a file that `ms-highway irl fit`
                           wrote
-  ladder=naive,tom        models to choose from, cheapest first (default: the scenario's), or best, the rungs that
-                          served best; tom@8 plans in 8 ascent steps, tom@8+warm starts from the rest of the last plan
-  costs=measured          T(M), the seconds per plan that controllers decide with: published (0.09, 0.17, 0.37; default
-                          with one human); shipped (default among several humans and in -v1), for which budgets take
-                          measured ones; measured on this machine, not in simulations; or by model:
-                          costs=naive=0.1,turn=0.2,tom=0.5
-  solver=convex_newton    how plans are improved: gradient, the paper's steps (default); or convex_newton, for plans of
-                          seconds (default among several humans and in -v1)
-  horizon=10              number of controls in a plan (default: 5; 10 or 20 in -v1), each of time_step=0.1 seconds;
-                          the number and size of gradient steps suit the horizon unless iterations=20 and
-                          step_size=0.03 set them
-  control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans, or unlimited
-  grip=8                  total acceleration that tyres hold [m/s^2]: (v^2 kappa)^2 + a^2 <= grip^2 (default: none; 8 in
-                          -v1)
-  humans=6                number of humans, 2 to 20, in scenes with several (Dense Merge and Crossing Crowd)
-  yielding=never          what humans do beside the robot: usual, plan for their reward (default); never, keep their
-                          velocity; always, make room for the robot; or mixed, each human never or always
-  human_driver=NAME       what drives the humans instead: a driver that --import adds by ms_highway.add_driver
+  ladder=naive,tom        models to choose from, cheapest first (default: the
+                          scenario's), or best, the rungs that served best; tom@8 plans
+                          in 8 ascent steps, tom@8+warm starts from the rest of the last
+                          plan
+  costs=measured          T(M), the seconds per plan that controllers decide with:
+                          published (0.09, 0.17, 0.37; default with one human); shipped
+                          (default among several humans and in -v1), for which budgets
+                          take measured ones; measured on this machine, not in
+                          simulations; or by model: costs=naive=0.1,turn=0.2,tom=0.5
+  solver=convex_newton    how plans are improved: gradient, the paper's steps (default);
+                          or convex_newton, for plans of seconds (default among several
+                          humans and in -v1)
+  horizon=10              number of controls in a plan (default: 5; 10 or 20 in -v1),
+                          each of time_step=0.1 seconds; the number and size of gradient
+                          steps suit the horizon unless iterations=20 and step_size=0.03
+                          set them
+  control_limit=0.2,9     bounds on curvature [1/m] and acceleration [m/s^2] of plans,
+                          or unlimited
+  grip=8                  total acceleration that tyres hold [m/s^2]: (v^2 kappa)^2 +
+                          a^2 <= grip^2 (default: none; 8 in -v1)
+  humans=6                number of humans, 2 to 20, in scenes with several (Dense Merge
+                          and Crossing Crowd)
+  yielding=never          what humans do beside the robot: usual, plan for their reward
+                          (default); never, keep their velocity; always, make room for
+                          the robot; or mixed, each human never or always
+  human_driver=NAME       what drives the humans instead: a driver that --import adds by
+                          ms_highway.add_driver
   way_out=false           let plans leave no way out from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
@@ -74,8 +82,17 @@ SCENARIOS = option(
     nargs="*",
     metavar="SCENARIO",
 )
-KEY = {"default": [], "dest": "keys", "action": "append", "metavar": "KEY=VALUE"}
-SET = Option("--set", {"help": "see below", **KEY}, KEYS)
+SET = Option(
+    "--set",
+    {
+        "help": "see below",
+        "default": [],
+        "dest": "keys",
+        "action": "append",
+        "metavar": "KEY=VALUE",
+    },
+    SET_NOTES,
+)
 DEVICES = number(
     "--devices", None, "how many devices to use (default: all, or one per core)"
 )
@@ -96,8 +113,9 @@ def compared(
     beside: str = "(default: all models of the ladder, and switching)",
     prices: str = "the scenario's two",
 ) -> list[Option]:
-    """Return the options that say what to compare, see `comparison`, and where the
-    results go.
+    """Return the options that say what to compare and where the results go.
+
+    `comparison` reads them.
 
     Args:
         seeds: default number of episodes.
@@ -123,7 +141,7 @@ def compared(
             0,
             "seed of the first episode; the others count on from it",
             0,
-            MAX_SEEDS,
+            MAX_FIRST_SEED,
         ),
         output("--out", "of results", directory=True, default=out, required=not out),
         FORMAT,
@@ -162,16 +180,17 @@ def configuration(options: argparse.Namespace) -> dict:
     return config
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> object:
+    """Return the value that a text of ``--set`` stands for: JSON, or words."""
     with suppress(ValueError, RecursionError):
         return json.loads(text)
     parts = [part for part in text.split(",") if part]
     if "=" in text:
-        return {
-            name: _value(value)
-            for name, _, value in (part.partition("=") for part in parts)
-        }
-    return list(map(_value, parts)) if "," in text else text
+        pairs = [part.partition("=") for part in parts]
+        return {name: _value(value) for name, _, value in pairs}
+    if "," in text:
+        return [_value(part) for part in parts]
+    return text
 
 
 def comparison(
@@ -197,31 +216,32 @@ def comparison(
     from ms_highway.planning.ladders import rung_names
 
     config = configuration(options)
-    controllers = {}
-    for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
-        scenario = ENVIRONMENTS[name].scenario
-        given = list(options.controllers or ["switching"])
-        if always or not options.controllers:
-            given = [
-                *rung_names(config.get("ladder", scenario.ladder)),
-                *given,
-                *always,
-            ]
-        several = list(chain(*(getattr(options, "lambdas", None) or [scenario.prices])))
-        kinds = {
-            kind: prices if kind == "learned" and prices else several
-            for kind in priced_types()
-        }
-        named = (
-            [f"{kind}:{price:g}" for price in kinds[kind]] if kind in kinds else [kind]
-            for kind in given
-        )
-        controllers[name] = list(dict.fromkeys(chain(*named)))
+    # Some commands have no such option.
+    lambdas_given = getattr(options, "lambdas", None)
     seeds = {
         name: getattr(options, name)
         for name in ("seeds", "first_seed")
         if hasattr(options, name)
     }
+
+    controllers = {}
+    for name in map(scenario_name, options.scenarios or PAPER_SCENARIOS):
+        scenario = ENVIRONMENTS[name].scenario
+        given = list(options.controllers or ["switching"])
+        if always or not options.controllers:
+            rungs = rung_names(config.get("ladder", scenario.ladder))
+            given = [*rungs, *given, *always]
+
+        # A kind that needs a lambda, named without one, is compared at several.
+        usual_prices = list(chain(*(lambdas_given or [scenario.prices])))
+        named = []
+        for each in given:
+            if each not in priced_types():
+                named.append(each)
+                continue
+            own = prices if each == "learned" and prices else usual_prices
+            named.extend(f"{each}:{price:g}" for price in own)
+        controllers[name] = list(dict.fromkeys(named))
     return Comparison(controllers, config=config, **seeds)
 
 
@@ -237,21 +257,19 @@ def lambdas(text: str) -> list[float]:
     """
     import numpy as np
 
+    largest_count = 10_000
     values = []
     with suppress(ValueError):
         match text.split(":"):
             case [price]:
-                values = [float(price) + 0.0]  # -0 is 0
-            case [low, high, count] if 1 < int(count) <= MAX_LAMBDAS:
-                values = [
-                    float(f"{value:.3g}")
-                    for value in np.geomspace(float(low), float(high), int(count))
-                ]
-    if (
-        not values
-        or len(set(values)) < len(values)
-        or not all(0 <= value < np.inf for value in values)
-    ):
+                # Adding 0 makes 0 of -0.
+                values = [float(price) + 0.0]
+            case [low, high, count] if 1 < int(count) <= largest_count:
+                exact = np.geomspace(float(low), float(high), int(count))
+                values = [float(f"{value:.3g}") for value in exact]
+    possible = all(0 <= value < np.inf for value in values)
+    distinct = len(set(values)) == len(values)
+    if not (values and possible and distinct):
         remedy = (
             "give a number like 0.1, or LOW:HIGH:COUNT that differ in three digits,"
             " such as 0.001:10:25"

@@ -1,11 +1,10 @@
-"""Define the commands ``ms-highway report``, ``video``, ``validate``, ``frontier`` and
-``values learn``.
-"""
+"""Define the commands that report, film, validate, search for orders, learn values."""
 
 import argparse
 import json
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ms_highway.cli.console import (
     command,
@@ -13,7 +12,7 @@ from ms_highway.cli.console import (
     option,
     output,
     print_tables,
-    record,
+    record_run,
     save_figures,
     say,
     tell,
@@ -22,9 +21,9 @@ from ms_highway.cli.console import (
 )
 from ms_highway.cli.options import (
     CONTROLLERS,
+    DEFAULT_CONTROLLER,
     DEVICES,
-    LEARNED,
-    MAX_SEEDS,
+    MAX_FIRST_SEED,
     SCENARIOS,
     SET,
     compared,
@@ -33,19 +32,8 @@ from ms_highway.cli.options import (
 )
 from ms_highway.runtime.names import SCENARIO_CLASSES
 
-FILM = (
-    "film the best fixed model and a controller that chooses online (default); needs"
-    ' the extra "video"'
-)
-OWN = (
-    "film also controllers that are not of this package: agents in files that DIR"
-    " names, which can run any code when they are opened, and what --import adds"
-)
-KINDS = {
-    "action_error": "robot's control",
-    "reward_error": "reward",
-    "human_error": "human's control",
-}
+if TYPE_CHECKING:
+    from ms_highway.experiments.batch import Batch
 
 
 @command(
@@ -59,16 +47,29 @@ KINDS = {
         ".html",
         ".tex",
     ),
-    option("--videos", FILM, action=argparse.BooleanOptionalAction, default=True),
-    option("--film-own", OWN, action="store_true"),
+    option(
+        "--videos",
+        "film the best fixed model and a controller that chooses online (default);"
+        ' needs the extra "video"',
+        action=argparse.BooleanOptionalAction,
+        default=True,
+    ),
+    option(
+        "--film-own",
+        "film also controllers that are not of this package: agents in files that DIR"
+        " names, which can run any code when they are opened, and what --import adds",
+        action="store_true",
+    ),
 )
 def report(options: argparse.Namespace) -> None:
-    """Make an HTML page, a single file that needs no network, of a directory of `ms-highway compare`. The page begins
-    with the answers in sentences. For each scenario, it has a table, a film of two controllers and figures; at its end
-    are the settings, versions, machine and commands that made the results.
+    """Make an HTML page of a directory of `ms-highway compare`.
 
-    Results of others are safe to open: without --film-own, no code runs that they name. With --out FILE.tex, only the
-    tables are written, as LaTeX with booktabs.
+    The page is a single file that needs no network. It begins with the answers in
+    sentences. For each scenario, it has a table, a film of two controllers and figures;
+    at its end are the settings, versions, machine and commands that made the results.
+
+    Results of others are safe to open: without --film-own, no code runs that they name.
+    With --out FILE.tex, only the tables are written, as LaTeX with booktabs.
 
     Examples:
       ms-highway report results/compare
@@ -117,13 +118,13 @@ def report(options: argparse.Namespace) -> None:
     "video",
     "film an episode",
     option("scenario", ", ".join(SCENARIO_CLASSES), metavar="SCENARIO"),
-    option("--controller", CONTROLLERS, LEARNED, metavar="CONTROLLER"),
+    option("--controller", CONTROLLERS, DEFAULT_CONTROLLER, metavar="CONTROLLER"),
     option(
         "--against",
         "a second controller, filmed from the same start",
         metavar="CONTROLLER",
     ),
-    number("--seed", 0, "of the episode", 0, MAX_SEEDS),
+    number("--seed", 0, "of the episode", 0, MAX_FIRST_SEED),
     number("--speed", 1.0, "1 is true speed, 0.5 slow motion", 0.01, 100),
     number(
         "--width", None, "scale the video to this width", 160, 1280, metavar="PIXELS"
@@ -132,16 +133,21 @@ def report(options: argparse.Namespace) -> None:
     SET,
 )
 def video(options: argparse.Namespace) -> None:
-    """Film one episode from above: the road, the robot's plan, the predicted path of the human, and a panel with the
-    model in use, planning time and reward. The film plays at true speed. Among several humans, each has the colour of
-    the model that predicts it, and the panel shows the number of humans per model, and the time and budget of the step.
+    r"""Film one episode from above.
 
-    With --against, a second controller drives from the same start. The film shows both, one above the other, with name,
-    mean reward per step and the time spent on planning and deciding so far.
+    The film shows the road, the robot's plan, the predicted path of the human, and a
+    panel with the model in use, planning time and reward. The film plays at true speed.
+    Among several humans, each has the colour of the model that predicts it, and the
+    panel shows the number of humans per model, and the time and budget of the step.
+
+    With --against, a second controller drives from the same start. The film shows both,
+    one above the other, with name, mean reward per step and the time spent on planning
+    and deciding so far.
 
     Examples:
       ms-highway video merger --seed 0 --out merger.mp4
-      ms-highway video merger --controller tom --against learned:1 --width 640 --out merger.gif
+      ms-highway video merger --controller tom --against learned:1 --width 640 \
+        --out merger.gif
     """
     from ms_highway.visualization import video
 
@@ -169,9 +175,11 @@ def video(options: argparse.Namespace) -> None:
     option("--json", "print JSON instead of a table", action="store_true"),
 )
 def validate(options: argparse.Namespace) -> None:
-    """Replay logged episodes of the paper's released code: plan from every logged state, and compare controls, rewards,
-    human controls and switching decisions with the logs. The table has quantiles of the errors over all steps, in the
-    units of the logs.
+    """Replay logged episodes of the paper's released code.
+
+    Plan from every logged state, and compare controls, rewards, human controls and
+    switching decisions with the logs. The table has quantiles of the errors over all
+    steps, in the units of the logs.
 
     Examples:
       ms-highway validate reference/episodes --json
@@ -183,48 +191,31 @@ def validate(options: argparse.Namespace) -> None:
     if options.json:
         say(json.dumps(result, indent=2))
         return
+    columns = {
+        "robot's control": "action_error",
+        "reward": "reward_error",
+        "human's control": "human_error",
+    }
     rows = []
     for name, errors in result["files"].items():
         row = {"file": name}
-        for kind, heading in KINDS.items():
+        for heading, kind in columns.items():
             row[heading] = " ".join(f"{value:.0e}" for value in errors[kind].values())
-        row["decisions"] = (
-            "{agree} of {all}".format(**errors["decisions"])
-            if "decisions" in errors
-            else ""
-        )
+        # Only runs with switching have decisions.
+        row["decisions"] = ""
+        if "decisions" in errors:
+            row["decisions"] = "{agree} of {all}".format(**errors["decisions"])
         rows.append(row)
     print_tables(grid("errors against the logs: median, 90 %, 99 %, largest", rows))
 
 
 # Search and learning
 
-LAMBDAS = [
-    0.0,
-    0.0001,
-    0.0003,
-    0.001,
-    0.003,
-    0.01,
-    0.02,
-    0.03,
-    0.05,
-    0.1,
-    0.2,
-    0.3,
-    0.6,
-    1.0,
-    3.0,
-    10.0,
-]
-PRICE = (
-    "lambdas of the meta-reward of orders and controllers: reward for a second of"
-    " planning"
+FRONTIER_LAMBDAS = (
+    *(0.0, 0.0001, 0.0003, 0.001, 0.003, 0.01, 0.02, 0.03, 0.05),
+    *(0.1, 0.2, 0.3, 0.6, 1.0, 3.0, 10.0),
 )
-STATES = (
-    "states from which rollouts start in round 1 in each scenario; later rounds have 5"
-    " for every 8 (default: 400; among several humans 100 in every round)"
-)
+"""Lambdas with which ``ms-highway frontier`` compares controllers, by default."""
 
 
 @command(
@@ -234,35 +225,53 @@ STATES = (
         30,
         "results/frontier",
         "(learned: at each of --prices), beside the ladder's models and switching",
-        " ".join(map("{:g}".format, LAMBDAS)),
+        " ".join(map("{:g}".format, FRONTIER_LAMBDAS)),
     ),
-    number("--prices", [0.1, 1.0, 10.0], PRICE, 0.0, 1e6, nargs="+", metavar="PRICE"),
+    number(
+        "--prices",
+        [0.1, 1.0, 10.0],
+        "lambdas of the meta-reward of orders and controllers: reward for a second of"
+        " planning",
+        0.0,
+        1e6,
+        nargs="+",
+        metavar="PRICE",
+    ),
     number("--population", 32, "orders per start, price and round"),
     number("--rounds", 8, "of the search, before starts try each other's best orders"),
     DEVICES,
     simulates=True,
 )
 def frontier(options: argparse.Namespace) -> None:
-    """Search from each start for the order of human models with the highest meta-reward: the reward less PRICE times
-    the seconds T(M) of planning. The best possible choice of models earns at least as much. The regret of a controller
-    is this meta-reward minus its own. The search also tries the orders that switching and other --controllers chose.
+    r"""Search from each start for the order of models with the highest meta-reward.
 
-    The tables show the regrets of the fixed models, of the best order for all starts, of other --controllers, and of
-    switching and other controllers with a lambda at their best lambda. --prices are the lambdas of the meta-reward;
-    --lambdas are those that switching decides with, and need not be a price. The best order and lambda are chosen on
-    the same starts as they are judged by. Everything is simulated, and nothing is timed.
+    The meta-reward is the reward less PRICE times the seconds T(M) of planning. The
+    best possible choice of models earns at least as much. The regret of a controller is
+    this meta-reward minus its own. The search also tries the orders that switching and
+    other --controllers chose.
 
-    Results go to --out: regrets.csv (a row per scenario, price and controller) and orders.csv (the best order of every
-    start), both of the last run; the figure SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
-    episodes); settings.json and provenance.json, which say how they were made. Episodes are kept after every round: the
-    same command with the same --out resumes a search that was stopped or killed, and one with more seeds, prices,
-    lambdas or rounds uses the episodes that are there. Results do not depend on the number of devices.
+    The tables show the regrets of the fixed models, of the best order for all starts,
+    of other --controllers, and of switching and other controllers with a lambda at
+    their best lambda. --prices are the lambdas of the meta-reward; --lambdas are those
+    that switching decides with, and need not be a price. The best order and lambda are
+    chosen on the same starts as they are judged by. Everything is simulated, and
+    nothing is timed.
+
+    Results go to --out: regrets.csv (a row per scenario, price and controller) and
+    orders.csv (the best order of every start), both of the last run; the figure
+    SCENARIO_frontier (reward against computation); SCENARIO_episodes.csv (all
+    episodes); settings.json and provenance.json, which say how they were made. Episodes
+    are kept after every round: the same command with the same --out resumes a search
+    that was stopped or killed, and one with more seeds, prices, lambdas or rounds uses
+    the episodes that are there. Results do not depend on the number of devices.
 
     Examples:
       ms-highway frontier
       ms-highway frontier merger --seeds 10 --prices 0.3 3 --out results/merger_frontier
-      ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 --out results/wide
-      ms-highway frontier merger --controllers schedule:tom=6,naive random:naive=0.7,tom=0.3 --out results/blind
+      ms-highway frontier --prices 0.001 0.003 0.01 0.03 0.1 0.3 1 3 10 --rounds 16 \
+        --out results/wide
+      ms-highway frontier merger \
+        --controllers schedule:tom=6,naive random:naive=0.7,tom=0.3 --out results/blind
     """
     import pandas as pd
 
@@ -274,22 +283,13 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.figures import frontier
     from ms_highway.visualization.tables import regret_tables
 
-    options.lambdas = options.lambdas or [LAMBDAS]
+    options.lambdas = options.lambdas or [FRONTIER_LAMBDAS]
     asked = comparison(options, ["switching"], options.prices)
     devices = use_devices(options.devices)
     out = options.out
     batches = {name: make_batch(asked, name) for name in asked.controllers}
-    for name, batch in batches.items():
-        if unknown := [
-            model for model in batch.models if model not in batch.costs.seconds
-        ]:
-            remedy = (
-                "regrets need it; give its seconds by --set costs=MODEL=SECONDS,..., or"
-                " leave it out"
-            )
-            raise ValueError(
-                f"T(M) of {unknown[0]!r} in {name} is not known, but {remedy}"
-            )
+    for batch in batches.values():
+        _check_costs(batch)
     seeds = asked.seed_range
     orders = pd.DataFrame()
     behind = pd.DataFrame()
@@ -300,7 +300,7 @@ def frontier(options: argparse.Namespace) -> None:
             for name, batch in batches.items()
         }
         directory.write_settings(settings)
-        record(directory, options)
+        record_run(directory, options)
 
         def progress() -> str:
             """Say how many episodes are done in every scenario."""
@@ -314,35 +314,46 @@ def frontier(options: argparse.Namespace) -> None:
                 tell(f"{scenario}: compiling, and driving fixed models and controllers")
                 outcomes.of(outcomes.batch.keys())
                 directory.add_late_sources(settings, late_sources())
-                for count in search(
+
+                rounds = search(
                     outcomes, seeds, options.prices, options.population, options.rounds
-                ):
+                )
+                for count in rounds:
                     tell(
                         f"{scenario}: round {count} of {options.rounds + 1} done,"
                         f" {len(outcomes.table)} episodes"
                     )
+
+                # Judge what was found at every price.
+                names = asked.controllers[scenario]
                 for price in dict.fromkeys(options.prices):
+                    place = {"scenario": scenario, "price": price}
                     found = best(outcomes.table, seeds, price).reset_index()
-                    own = regrets(
-                        outcomes.table, asked.controllers[scenario], seeds, price
-                    )
-                    orders = pd.concat(
-                        [orders, found.assign(scenario=scenario, price=price)]
-                    )
-                    behind = pd.concat(
-                        [behind, own.assign(scenario=scenario, price=price)]
-                    )
+                    own = regrets(outcomes.table, names, seeds, price)
+                    orders = pd.concat([orders, found.assign(**place)])
+                    behind = pd.concat([behind, own.assign(**place)])
                 write_table(orders, out / "orders.csv")
                 write_table(behind, out / "regrets.csv")
-                drawing = {
-                    f"{scenario}_frontier": partial(
-                        frontier, behind, scenario, options.seeds
-                    )
-                }
-                save_figures(drawing, out, options.format)
+                draw = partial(frontier, behind, scenario, options.seeds)
+                save_figures({f"{scenario}_frontier": draw}, out, options.format)
     for scenario in asked.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")
+
+
+def _check_costs(batch: "Batch") -> None:
+    """Refuse to compute regrets without T(M) of a model.
+
+    Raises:
+        ValueError: naming a model whose seconds are not known.
+    """
+    for model in batch.models:
+        if model not in batch.costs.seconds:
+            scenario = batch.environment.scenario.name
+            raise ValueError(
+                f"T(M) of {model!r} in {scenario} is not known, but regrets need it;"
+                " give its seconds by --set costs=MODEL=SECONDS,..., or leave it out"
+            )
 
 
 @command(
@@ -350,7 +361,12 @@ def frontier(options: argparse.Namespace) -> None:
     "learn values of computation: when it pays to think",
     SCENARIOS,
     output("--out", "of the values, such as values.npz", ".npz", required=True),
-    number("--states", None, STATES),
+    number(
+        "--states",
+        None,
+        "states from which rollouts start in round 1 in each scenario; later rounds"
+        " have 5 for every 8 (default: 400; among several humans 100 in every round)",
+    ),
     number(
         "--rounds",
         None,
@@ -371,23 +387,29 @@ def frontier(options: argparse.Namespace) -> None:
     simulates=True,
 )
 def learn(options: argparse.Namespace) -> None:
-    """Learn the value of computation in some scenarios, for the controller learned:LAMBDA:FILE. Rollouts start from
-    states of episodes: for some steps, one model of the ladder predicts the human, and then the rule that was learned
-    so far chooses. Networks are fitted to the reward that each model earns beyond the cheapest one, in several rounds.
-    One file serves all lambdas and costs.
+    r"""Learn the value of computation in some scenarios.
 
-    Among several humans (dense-merge-v1, crossing-crowd-v1, dense_merge, crossing_crowd), each model predicts the
-    nearest one, two, three and four humans; the value of a human is the reward that it adds. Such a file serves
-    scenes with several humans.
+    It serves the controller learned:LAMBDA:FILE. Rollouts start from states of
+    episodes: for some steps, one model of the ladder predicts the human, and then the
+    rule that was learned so far chooses. Networks are fitted to the reward that each
+    model earns beyond the cheapest one, in several rounds. One file serves all lambdas
+    and costs.
 
-    Starts are drawn anew, not by the numbered seeds of environments, so that `ms-highway frontier` can measure the
-    regret of learned:LAMBDA:FILE on held-out starts. The same --seed gives the same values. Rollouts are kept beside
-    the file until it is written: the same command continues a run that was stopped or killed.
+    Among several humans (dense-merge-v1, crossing-crowd-v1, dense_merge,
+    crossing_crowd), each model predicts the nearest one, two, three and four humans;
+    the value of a human is the reward that it adds. Such a file serves scenes with
+    several humans.
+
+    Starts are drawn anew, not by the numbered seeds of environments, so that
+    `ms-highway frontier` can measure the regret of learned:LAMBDA:FILE on held-out
+    starts. The same --seed gives the same values. Rollouts are kept beside the file
+    until it is written: the same command continues a run that was stopped or killed.
 
     Examples:
       ms-highway values learn merger give_way --out values.npz
       ms-highway compare merger --controllers tom learned:1:values.npz
-      ms-highway values learn dense-merge-v1 crossing-crowd-v1 --states 300 --out crowd.npz
+      ms-highway values learn dense-merge-v1 crossing-crowd-v1 --states 300 \
+        --out crowd.npz
       ms-highway --import zipper values learn zipper --out zipper.npz
     """
     from shutil import rmtree
@@ -398,10 +420,10 @@ def learn(options: argparse.Namespace) -> None:
     from ms_highway.experiments.learning import learn, prepare
     from ms_highway.runtime.compilation import use_devices
 
-    everywhere = {
-        name: ["switching:1"] for name in options.scenarios or PAPER_SCENARIOS
-    }
-    asked = Comparison(everywhere, config=configuration(options))
+    # A controller that needs T(M) of all models, which learning needs, too.
+    scenarios = options.scenarios or PAPER_SCENARIOS
+    controllers = {name: ["switching:1"] for name in scenarios}
+    asked = Comparison(controllers, config=configuration(options))
     learning, batches = prepare(
         asked, options.rounds, options.states, options.horizon, options.seed
     )

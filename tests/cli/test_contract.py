@@ -90,6 +90,6 @@ def test_help_texts_name_what_the_package_has():
         for environment in ENVIRONMENTS.values()
         for key in environment.default_config()
     }
-    keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.KEYS))
+    keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.SET_NOTES))
     assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= keys
     assert keys <= known | {"naive", "a", "b", "turn", "tom"}
