@@ -84,18 +84,14 @@ NAIVE = "compare stay_back --controllers naive --seeds 1 --out"
         ("bench --json .", ". cannot be written: it is a directory or a device; "),
     ],
 )
-def test_a_wrong_command_is_refused_in_one_line_and_writes_nothing(
-    command, message, refused
-):
+def test_a_wrong_command_is_refused_in_one_line(command, message, refused):
     line = refused(command)
     assert line.startswith("ms-highway: ")
     assert message in line
 
 
 @pytest.mark.slow
-def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(
-    tmp_path, monkeypatch
-):
+def test_a_sweep_knows_rules_and_models_of_imported_modules(tmp_path, monkeypatch):
     monkeypatch.chdir(Path(__file__).parents[2])
     monkeypatch.setattr(sys, "path", list(sys.path))
     models = "--set costs=coasting=0.09,tom=0.37 --set ladder=coasting,tom"
@@ -112,9 +108,7 @@ def test_a_sweep_knows_the_rules_and_models_of_a_module_that_it_imports(
         assert 0 < summary["share_tom"][name] < 1
 
 
-def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(
-    tmp_path, capsys
-):
+def test_a_warning_is_one_line_without_a_place_in_source(tmp_path, capsys):
     (tmp_path / "other").touch()
     with warnings.catch_warnings():
         warnings.simplefilter("default")
@@ -125,13 +119,14 @@ def test_a_warning_of_a_command_is_one_line_without_a_place_in_the_source(
     assert "is not empty" in refusal
 
 
-def test_tables_and_refusals_print_in_ascii_and_a_row_is_a_line_where_the_output_is_no_terminal():
+def test_output_to_a_file_is_ascii_with_a_line_per_row():
+    """A narrow terminal does not matter, as the output is none; ASCII lacks ²."""
     narrow = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "60"}
     bench = ["-m", "ms_highway", "bench", "road", "merge-v0", "--drivers"]
     table = python(*bench, "idm", "--seeds", "1", env=narrow).stdout.splitlines()
     (headings,) = (line for line in table if "reward per step" in line)
     (row,) = (line for line in table if line.startswith("idm"))
-    assert "m/s? at most" in headings  # m/s²
+    assert "m/s? at most" in headings
     assert min(len(headings), len(row)) > 120
     refusal = python(*bench, "caf\xe9", status=2, env=narrow).stderr
     assert refusal.startswith("ms-highway: unknown driver 'caf\\xe9'")
@@ -140,7 +135,6 @@ def test_tables_and_refusals_print_in_ascii_and_a_row_is_a_line_where_the_output
 @pytest.mark.slow
 def test_a_missing_platform_is_refused_in_one_line(tmp_path, monkeypatch):
     monkeypatch.setenv("JAX_PLATFORMS", "cuda")
-    (line,) = python(
-        *f"-m ms_highway {NAIVE} {tmp_path}".split(), status=2
-    ).stderr.splitlines()
+    words = f"-m ms_highway {NAIVE} {tmp_path}".split()
+    (line,) = python(*words, status=2).stderr.splitlines()
     assert "JAX_PLATFORMS is 'cuda'" in line

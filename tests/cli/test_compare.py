@@ -1,6 +1,4 @@
-"""`ms-highway compare` and `report` as users type them: results, resuming, figures and
-pages.
-"""
+"""`ms-highway compare` and `report` as users type them."""
 
 import contextlib
 import io
@@ -72,7 +70,7 @@ def begun(compared, tmp_path):
     return tmp_path
 
 
-def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(compared):
+def test_compare_writes_steps_a_summary_and_what_made_them(compared):
     records = pd.read_csv(compared / "steps.csv")
     assert list(records) == Comparison({"stay_back": []}).columns()
     assert len(records) == 2 * 2 * 35
@@ -80,41 +78,36 @@ def test_compare_writes_a_row_per_step_a_summary_figures_and_what_made_them(comp
     means = records.groupby("controller")["reward"].mean()
     assert summary["reward"].to_dict() == pytest.approx(means.to_dict())
     assert summary.loc["naive", "share_naive"] == 1
-    assert (
-        summary.loc["naive", "decision_ms"]
-        == 0
-        < summary.loc["switching:0.4", "decision_ms"]
-    )
+    assert summary.loc["naive", "decision_ms"] == 0
+    assert summary.loc["switching:0.4", "decision_ms"] > 0
     runs = json.loads((compared / "provenance.json").read_text())
     assert ["--seeds 1" in run["command"] for run in runs] == [True, False]
-    run(f"{COMPARE} {compared}")  # computes nothing
+
+    # The same command computes nothing.
+    run(f"{COMPARE} {compared}")
     assert json.loads((compared / "provenance.json").read_text()) == runs
 
 
-def test_compare_tells_every_minute_how_many_episodes_are_done_where_no_terminal_shows_it(
+def test_compare_tells_every_minute_how_many_episodes_are_done(
     tmp_path, monkeypatch, capsys
 ):
-    monkeypatch.setattr(
-        console, "PROGRESS_SECONDS", 0.001
-    )  # instead of a minute, which an episode does not take
+    # Instead of a minute, which an episode does not take.
+    monkeypatch.setattr(console, "PROGRESS_SECONDS", 0.001)
     run(f"{COMPARE} {tmp_path}")
-    told = [
-        line
-        for line in capsys.readouterr().err.splitlines()
-        if line.startswith("episodes: ")
-    ]
+    lines = capsys.readouterr().err.splitlines()
+    told = [line for line in lines if line.startswith("episodes: ")]
     assert told[0] == "episodes: 0 of 4"
-    assert re.fullmatch(
-        r"episodes: 1 of 4, \d+ s left", next(line for line in told if "1 of 4" in line)
-    )
+    after_one = next(line for line in told if "1 of 4" in line)
+    assert re.fullmatch(r"episodes: 1 of 4, \d+ s left", after_one)
     assert told[-1] == "episodes: 4 of 4, 0 s left"
 
 
 @pytest.mark.slow
-def test_a_killed_comparison_on_two_cores_resumes_to_the_results_of_one_process(
-    tmp_path,
-):
-    """No episode is lost or repeated, and no process is left behind."""
+def test_a_killed_comparison_resumes_to_the_same_results(tmp_path):
+    """It runs on two cores, the other in one process.
+
+    No episode is lost or repeated, and no process is left behind.
+    """
     asked = Comparison({"merger": ["naive", "turn"]}, 40)
     alone = tmp_path / "1"
     killed = tmp_path / "2"
@@ -144,15 +137,15 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
     steps.write_text("".join([head, *lines[:35]]))
     parts.mkdir()
     (parts / "3.csv").write_text("".join([head, *lines[-35:]]))
-    (parts / f".part.{'0' * 16}.1.csv").write_text(
-        head + lines[40][:20]
-    )  # left by a killed process
+    # A file that a killed process has left.
+    (parts / f".part.{'0' * 16}.1.csv").write_text(head + lines[40][:20])
     run(f"{COMPARE} {begun}")
     pd.testing.assert_frame_equal(untimed(begun), untimed(compared))
     before = steps.read_text()
     run(f"{COMPARE} {begun} --format svg")
     assert steps.read_text() == before
-    assert (begun / "stay_back_bars.png").exists()  # of the same records
+    # The figure that was there shows the same records.
+    assert (begun / "stay_back_bars.png").exists()
     for name in FIGURES:
         assert (begun / f"stay_back_{name}.svg").read_text().count("<path") > 20
     assert not parts.exists()
@@ -160,9 +153,7 @@ def test_compare_resumes_from_steps_and_parts(compared, begun):
 
 @pytest.mark.filterwarnings("always:.*not whole")
 def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys):
-    """One has lost its last rows, the end of its last row, a row in its middle, or has
-    a row twice.
-    """
+    """One lacks its last rows, the end of its last row or a row, or has a row twice."""
     steps = begun / "steps.csv"
     wanted = untimed(compared)
     head, *lines = steps.read_text().splitlines(keepends=True)
@@ -177,10 +168,8 @@ def test_episodes_that_are_not_whole_are_computed_again(compared, begun, capsys)
         run(f"report {begun} --no-videos")
         assert "lacks 1 episodes" in capsys.readouterr().err
         run(f"{COMPARE} {begun}")
-        assert (
-            "steps.csv: episodes that are not whole are computed again: 1"
-            in capsys.readouterr().err
-        )
+        warning = "steps.csv: episodes that are not whole are computed again: 1"
+        assert warning in capsys.readouterr().err
         pd.testing.assert_frame_equal(untimed(begun), wanted)
 
 
@@ -198,8 +187,10 @@ def test_a_page_runs_no_code_that_results_name(begun, capsys):
     assert "naive." in film["aria-label"]
     assert "agent.zip" not in film["aria-label"]
     assert not ran.exists()
+
+    # With --film-own, it is opened, and is no agent.
     main(["report", str(begun), "--film-own"])
-    assert str(agent) in capsys.readouterr().err  # it is opened, and is no agent
+    assert str(agent) in capsys.readouterr().err
 
 
 class Traps:
@@ -212,9 +203,7 @@ class Traps:
         return open, (self.file, "w")
 
 
-def test_a_command_whose_reader_has_left_writes_its_results_without_complaint(
-    begun, monkeypatch, capsys
-):
+def test_a_closed_pipe_costs_no_results(begun, monkeypatch, capsys):
     reader, writer = os.pipe()
     os.close(reader)
     with os.fdopen(writer, "w") as closed, contextlib.suppress(SystemExit):
@@ -239,16 +228,13 @@ def test_compare_keeps_measured_costs_with_the_results(tmp_path):
 
 def test_compare_warns_if_it_resumes_with_other_versions(compared, begun, capsys):
     made = json.loads((compared / "provenance.json").read_text())[0]
-    older = [
-        made | {"versions": made["versions"] | {"jax": "0.1"}, "xla_flags": "--other"}
-    ]
-    (begun / "provenance.json").write_text(json.dumps(older))
+    versions = made["versions"] | {"jax": "0.1"}
+    older = made | {"versions": versions, "xla_flags": "--other"}
+    (begun / "provenance.json").write_text(json.dumps([older]))
     run(f"compare stay_back --seeds 1 --out {begun} --controllers turn")
     said = capsys.readouterr().err
-    assert (
-        f"continues with jax {made['versions']['jax']} instead of 0.1, XLA_FLAGS"
-        in said
-    )
+    jax = made["versions"]["jax"]
+    assert f"continues with jax {jax} instead of 0.1, XLA_FLAGS" in said
     assert "instead of --other; results may not agree" in said
 
 
@@ -277,7 +263,7 @@ def test_compare_refuses_damaged_records_and_leaves_them_unchanged(
     assert steps.read_text(encoding="latin-1") == spoilt
 
 
-def test_compare_changes_no_settings_if_its_run_cannot_be_recorded(begun, refused):
+def test_compare_changes_no_settings_without_a_record_of_runs(begun, refused):
     (begun / "provenance.json").write_text("{}")
     before = (begun / "settings.json").read_text()
     assert "provenance.json cannot be read as a list of runs" in refused(
@@ -291,9 +277,7 @@ WRONG = [None, -1, 2.5, "x", [1], {"a": [1]}, True, float("nan")]
 
 
 def places_of(content, place=()):
-    """Yield the place of every value in the content of a JSON file, as keys and numbers
-    from the top.
-    """
+    """Yield the keys and numbers that lead to every value in the content of a file."""
     yield place
     if isinstance(content, dict | list):
         for key in content if isinstance(content, dict) else range(len(content)):
@@ -345,9 +329,7 @@ def content_of(element):
     return b64decode(element["src"].partition(";base64,")[2])
 
 
-def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_file(
-    compared,
-):
+def test_the_page_has_all_results_and_needs_no_other_file(compared):
     run(f"report {compared}")
     html = (compared / "report.html").read_text()
     texts = texts_of(html)
@@ -356,19 +338,16 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
     assert f"naive earns a reward of {rewards['naive']:.2f} per step" in said
     for name, reward in rewards.items():
         assert re.search(rf">{name}</t[hd]>\s*<td>{reward:.2f}</td>", html)
-    images, (film,) = elements(html, "img"), elements(html, "video")
+    images = elements(html, "img")
+    (film,) = elements(html, "video")
     assert [image["alt"].split(".")[0] for image in images] == [
         f"Stay Back, {name}" for name in FIGURES
     ]
     for image in images:
         assert imageio.imread(content_of(image)).std() > 10
     assert "naive above, switching:0.4 below" in film["aria-label"]
-    assert imageio.imread(content_of(film), plugin="pyav", extension=".mp4").shape == (
-        35,
-        816,
-        960,
-        3,
-    )
+    frames = imageio.imread(content_of(film), plugin="pyav", extension=".mp4")
+    assert frames.shape == (35, 816, 960, 3)
     assert f"ms-highway {COMPARE} {compared}" in said
     assert f"jax {version('jax')}" in said
     assert {"human reward", "learned"} <= set(texts)
@@ -378,18 +357,14 @@ def test_the_page_has_answer_table_figures_film_and_settings_and_needs_no_other_
         assert place.startswith(("data:", "#"))
 
 
-def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
-    compared, begun, capsys
-):
+def test_a_page_says_what_is_missing_and_escapes_markup(compared, begun, capsys):
     steps = begun / "steps.csv"
     out = begun / "pages" / "small.html"
-    pd.read_csv(steps).query("controller == 'naive' and seed == 0").to_csv(
-        steps, index=False
-    )
+    records = pd.read_csv(steps).query("controller == 'naive' and seed == 0")
+    records.to_csv(steps, index=False)
     made = json.loads((compared / "provenance.json").read_text())[0]
-    (begun / "provenance.json").write_text(
-        json.dumps([made | {"command": "<script>alert(1)</script>"}])
-    )
+    hostile = made | {"command": "<script>alert(1)</script>"}
+    (begun / "provenance.json").write_text(json.dumps([hostile]))
     run(f"report {begun} --no-videos --out {out}")
     assert "lacks 3 episodes; start the same" in capsys.readouterr().err
     html = out.read_text()
@@ -400,24 +375,21 @@ def test_a_page_of_a_stopped_comparison_says_what_is_missing_and_escapes_markup(
     assert [path.name for path in out.parent.iterdir()] == [out.name]
 
 
-def test_figures_do_not_fail_because_of_a_name_or_of_the_users_matplotlibrc(begun):
+def test_figures_survive_odd_names_and_the_users_matplotlibrc(begun):
     file = begun / r"$a_b^{c%d\e$#~&" / "values_$.npz"
     file.parent.mkdir()
     shutil.copy(VALUES, file)
     odd = f"learned:1:{file}"
-    for name, written in {
-        "steps.csv": odd,
-        "settings.json": json.dumps(odd)[1:-1],
-    }.items():
+    spelled = {"steps.csv": odd, "settings.json": json.dumps(odd)[1:-1]}
+    for name, written in spelled.items():
         text = (begun / name).read_text()
         (begun / name).write_text(text.replace("switching:0.4", written))
-    with rc_context(
-        {
-            "text.usetex": True,
-            "axes.formatter.use_mathtext": True,
-            "font.family": "no such font",
-        }
-    ):
+    users_settings = {
+        "text.usetex": True,
+        "axes.formatter.use_mathtext": True,
+        "font.family": "no such font",
+    }
+    with rc_context(users_settings):
         run(f"report {begun} --no-videos")
     images = elements((begun / "report.html").read_text(), "img")
     assert [image["alt"].split(".")[0] for image in images] == [
@@ -425,46 +397,37 @@ def test_figures_do_not_fail_because_of_a_name_or_of_the_users_matplotlibrc(begu
     ]
     run(f"report {begun} --out {begun / 'tables.tex'}")
     tex = (begun / "tables.tex").read_text()
-    assert (
-        r"/\$a\_b\textasciicircum{}\{c\%d\textbackslash{}e\$\#\textasciitilde{}\&/values\_\$.npz} & "
-        in tex
+    directory = (
+        r"/\$a\_b\textasciicircum{}\{c\%d\textbackslash{}e\$\#\textasciitilde{}\&"
     )
+    assert directory + r"/values\_\$.npz} & " in tex
     rows = [line for line in tex.splitlines() if line.endswith(r" \\")]
     assert len(rows) == 3
     assert len({row.replace(r"\&", "").count("&") for row in rows}) == 1
     assert r"90 \% interval" in rows[0]
 
 
-def test_a_figure_that_cannot_be_made_is_one_warning_and_the_results_are_whole(
-    compared, begun, capsys
-):
+def test_a_figure_that_cannot_be_made_is_one_warning(compared, begun, capsys):
+    """The results are whole."""
     (begun / "stay_back_reward.png").mkdir()
     run(f"{COMPARE} {begun}")
-    (line,) = (
-        line
-        for line in capsys.readouterr().err.splitlines()
-        if line.startswith("ms-highway:")
-    )
-    assert "stay_back_reward.png cannot be written" in line
-    assert {path.stem for path in begun.glob("stay_back_*.png") if path.is_file()} == {
-        f"stay_back_{name}" for name in FIGURES if name != "reward"
-    }
-    assert pd.read_csv(begun / "summary.csv").equals(
-        pd.read_csv(compared / "summary.csv")
-    )
+    lines = capsys.readouterr().err.splitlines()
+    (warning,) = (line for line in lines if line.startswith("ms-highway:"))
+    assert "stay_back_reward.png cannot be written" in warning
+    there = {path.stem for path in begun.glob("stay_back_*.png") if path.is_file()}
+    assert there == {f"stay_back_{name}" for name in FIGURES if name != "reward"}
+    summary = pd.read_csv(begun / "summary.csv")
+    assert summary.equals(pd.read_csv(compared / "summary.csv"))
+
     broken = {"broken": lambda: Figure().subplots().plot([1, 2], [1]), "empty": Figure}
-    with pytest.warns(
-        UserWarning,
-        match="the figure broken is left out, as it cannot be drawn .ValueError",
-    ):
+    warning = "the figure broken is left out, as it cannot be drawn .ValueError"
+    with pytest.warns(UserWarning, match=warning):
         assert [*drawn(broken)] == ["empty"]
 
 
-def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tmp_path):
-    files = [
-        tmp_path / folder / "values_of_computation.npz"
-        for folder in ("first", "second")
-    ]
+def test_no_two_controllers_look_alike_and_legends_fit(tmp_path):
+    name = "values_of_computation.npz"
+    files = [tmp_path / folder / name for folder in ("first", "second")]
     for file in files:
         file.parent.mkdir()
         shutil.copy(VALUES, file)
@@ -492,18 +455,15 @@ def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tm
     for parts in (lambda look: look[:3], lambda look: look.label):
         assert len({parts(look) for look in found.values()}) == len(names)
     assert looks(names[:8]) == {name: found[name] for name in names[:8]}
-    steps = pd.DataFrame(
-        [
-            ("merger", name, seed, step, 1.0 * seed)
-            for name in names[-8:]
-            for seed in (0, 1)
-            for step in (0, 1)
-        ]
-    )
-    figure = rewards(
-        steps.set_axis(["scenario", "controller", "seed", "step", "reward"], axis=1),
-        "merger",
-    )
+
+    rows = [
+        ("merger", name, seed, step, 1.0 * seed)
+        for name in names[-8:]
+        for seed in (0, 1)
+        for step in (0, 1)
+    ]
+    columns = ["scenario", "controller", "seed", "step", "reward"]
+    figure = rewards(pd.DataFrame(rows, columns=columns), "merger")
     content(figure)
     (legend,) = figure.legends
     assert figure.bbox.x0 <= legend.get_window_extent().x0
@@ -511,7 +471,7 @@ def test_no_two_controllers_look_alike_or_have_the_same_label_and_legends_fit(tm
     assert len(legend.get_texts()) == 8
 
 
-def test_curves_and_frontiers_are_written_in_every_format_and_are_not_empty():
+def test_curves_and_frontiers_are_written_in_every_format():
     kept = pd.read_csv(KEPT / "summary.csv")
     drawn = (
         curve(kept[kept["run"] == "curve"], "merger"),
@@ -521,12 +481,7 @@ def test_curves_and_frontiers_are_written_in_every_format_and_are_not_empty():
         png, pdf, svg = (content(figure, kind) for kind in FORMATS)
         assert imageio.imread(io.BytesIO(png)).std() > 10
         assert len(pdf) > 8000
-        assert not re.search(rb"/Type3\b", pdf)  # fonts that publishers refuse
-        assert (
-            len(
-                list(
-                    ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}path")
-                )
-            )
-            > 20
-        )
+        # Publishers refuse fonts of type 3.
+        assert not re.search(rb"/Type3\b", pdf)
+        paths = ElementTree.fromstring(svg).iter("{http://www.w3.org/2000/svg}path")
+        assert len(list(paths)) > 20

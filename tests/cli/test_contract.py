@@ -23,7 +23,8 @@ for command in ([], *(name.split() for name in COMMANDS)):
         main([*command, "--help"])
     except SystemExit as ended:
         assert ended.code == 0
-print(f"loaded: {sorted({'highway_env', 'jax', 'matplotlib', 'pandas', 'scipy'} & set(sys.modules))}")
+heavy = {"highway_env", "jax", "matplotlib", "pandas", "scipy"}
+print(f"loaded: {sorted(heavy & set(sys.modules))}")
 """
 
 ASCII = (
@@ -33,7 +34,7 @@ ASCII = (
 """Environments of the process, each with an ASCII standard output."""
 
 
-def test_help_describes_every_command_and_loads_no_package_that_computes_or_draws():
+def test_help_of_every_command_loads_no_package_that_computes():
     wide = {**os.environ, "COLUMNS": "300"}
     output = python("-c", HELP, env=wide).stdout
     before, *texts = output.split("usage: ms-highway")
@@ -44,17 +45,17 @@ def test_help_describes_every_command_and_loads_no_package_that_computes_or_draw
 
 
 @pytest.mark.parametrize("ascii_only", ASCII, ids=" ".join)
-def test_help_of_every_command_prints_where_the_output_is_ascii(ascii_only):
+def test_help_of_every_command_prints_in_ascii(ascii_only):
     output = python("-c", HELP, env={**os.environ, **ascii_only}).stdout
     assert output.count("usage: ms-highway") == 1 + len(COMMANDS)
-    assert "m/s? is the largest acceleration" in " ".join(output.split())  # m/s²
+    # A question mark stands for ².
+    assert "m/s? is the largest acceleration" in " ".join(output.split())
     assert output.isascii()
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(
-    name, monkeypatch, capsys
-):
+def test_help_fits_the_terminal_and_its_examples_parse(name, monkeypatch, capsys):
+    """No word is lost at any width."""
     texts = set()
     for width in (60, 80, 100):
         monkeypatch.setenv("COLUMNS", str(width))
@@ -65,14 +66,11 @@ def test_help_fits_the_terminal_loses_no_word_and_its_examples_parse(
         assert max(map(len, told.splitlines())) <= width
         texts.add(re.sub(r"\s", "", told))
     assert len(texts) == 1
-    lines = [
-        line.split()[1:]
-        for line in examples.replace("\\\n", "").splitlines()
-        if line.startswith("  ms-highway")
-    ]
-    assert lines
+    lines = examples.replace("\\\n", "").splitlines()
+    commands = [line.split()[1:] for line in lines if line.startswith("  ms-highway")]
+    assert commands
     monkeypatch.chdir("/tmp")
-    assert name in {parse(words).command.name for words in lines}
+    assert name in {parse(words).command.name for words in commands}
 
 
 def test_help_texts_name_what_the_package_has():
@@ -82,14 +80,11 @@ def test_help_texts_name_what_the_package_has():
     }
     assert named == SCENARIO_CLASSES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
-    assert tuple(options.CONTROLLERS.split(", ")[: len(PAPER_MODELS)]) == tuple(
-        PAPER_MODELS
-    )
-    known = {
-        key
-        for environment in ENVIRONMENTS.values()
-        for key in environment.default_config()
-    }
+    controllers = options.CONTROLLERS.split(", ")
+    assert controllers[: len(PAPER_MODELS)] == list(PAPER_MODELS)
+    known = set()
+    for environment in ENVIRONMENTS.values():
+        known |= set(environment.default_config())
     keys = set(re.findall(r"\b([a-z]+(?:_[a-z]+)?)=[^=,\s]", options.SET_NOTES))
     assert {"semantics", "horizon", "step_size", "costs", "way_out"} <= keys
     assert keys <= known | {"naive", "a", "b", "turn", "tom"}
