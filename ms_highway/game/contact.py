@@ -1,11 +1,12 @@
-"""Keep bodies apart on physical ground: whether they overlap, and what plans pay near
-them.
+"""Keep bodies apart on physical ground: overlaps, and what plans pay near bodies.
 
 Cars are rectangles and obstacles are circles, whose diameter is the obstacle's width. A
 car pays for every overlap with an obstacle, and with a car whose direction differs by
 less than 7 degrees. At larger angles, another car's corner may reach a car's side
 between two of its points; then the other car pays, if it plans as well.
 """
+
+from dataclasses import dataclass
 
 import jax
 import numpy as np
@@ -25,32 +26,31 @@ from ms_highway.geometry.bodies import (
 )
 from ms_highway.runtime.arrays import Array, Numbers, Times
 
-CONTACT_POINTS = np.concatenate([CORNERS / 2, np.zeros((1, 2), np.float32)])
-"""Points of the car, in shares of its size, whose distances from other cars cost plans.
 
-Corners see all cars that drive along the same road, and the centre sees those that
-cross.
-"""
+@dataclass(frozen=True)
+class ContactSettings:
+    """Set what plans pay for coming close to bodies on physical ground."""
 
-CONTACT_MARGIN = 2.0
-"""D of `square_distance` below which plans pay for coming close to a body.
+    margin: float = 2.0
+    """D of `square_distance` below which plans pay for coming close to a body [1].
 
-It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m, and 0.90 and 1.42 m from
-the edge of a cone. Cars side by side in lanes of 3.3 m are farther apart; in lanes of
-less than 3.02 m, they pay all the time.
-"""
+    It is 0.52 m beside and 1.04 m ahead of a car of 5 by 2.5 m, and 0.90 and 1.42 m
+    from the edge of a cone. Cars side by side in lanes of 3.3 m are farther apart; in
+    lanes of less than 3.02 m, they pay all the time.
+    """
+    cost: float = 10.0
+    """Cost per step of a point on another car's side, at D = 1 [reward].
 
-CONTACT_COST = 10.0
-"""Cost per step of a point on another car's side, at D = 1 [reward].
+    Chosen on 20 to 60 starts of Merger and Give Way: bodies stay 0.1 m apart or more
+    under every model. At three times this cost, naive plans and theory of mind earn
+    less.
+    """
+    obstacle_weight: float = 3.0
+    """Weight of an obstacle: its centre counts alone, a car counts with several points.
+    """
 
-Chosen on 20 to 60 starts of Merger and Give Way: bodies stay 0.1 m apart or more under
-every model. At three times this cost, naive plans and theory of mind earn less.
-"""
 
-OBSTACLE_POINTS = 3.0
-"""Weight of an obstacle: its centre counts alone, where a car counts with several
-points.
-"""
+CONTACT = ContactSettings()
 
 
 def overlap(
@@ -65,25 +65,26 @@ def overlap(
         clearance: by which all bodies are longer and wider than they are [m].
     """
     length, width = jnp.asarray(scene.car_size) + clearance
-    size = length, width
+    size = (length, width)
     gaps = separation_of_directed(own[:4], others[:4], size, size)
     with_cars = (gaps < 0).any(axis=0)
     if not len(scene.obstacles):
         return with_cars
     radius = (jnp.asarray(scene.obstacle_size)[1] + clearance) / 2
-    place = _obstacles_in_frame(scene, own)
-    return with_cars | circles_overlap(*place, size, radius).any(axis=0)
+    along, across = _obstacles_in_frame(scene, own)
+    with_obstacles = circles_overlap(along, across, size, radius).any(axis=0)
+    return with_cars | with_obstacles
 
 
 def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
     """Compute the cost of plans near other bodies, ``sum c(D)`` with::
 
-        c(D) = CONTACT_COST max(CONTACT_MARGIN - D, 0)^3
+        c(D) = cost max(margin - D, 0)^3
 
-    The sum is over the car's `CONTACT_POINTS` and all other cars, and over the
-    obstacles, each of which counts `OBSTACLE_POINTS` times. D is the `square_distance`
-    of a point from a car, or of an obstacle's centre from the car, which is then longer
-    and wider by the obstacle's diameter.
+    by `ContactSettings`. The sum is over the car's `contact_points` and all other cars,
+    and over the obstacles, each of which counts ``obstacle_weight`` times. D is the
+    `square_distance` of a point from a car, or of an obstacle's centre from the car,
+    which is then longer and wider by the obstacle's diameter.
 
     Args:
         scene: obstacles and sizes of bodies.
@@ -92,23 +93,28 @@ def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
     """
     offsets = point_offsets(own[:4], contact_points(scene), others[:4])
     from_cars = _distance(jnp.asarray(scene.car_size), *offsets)
-    cost = jnp.sum(_cost(from_cars), axis=(0, 1))
+    cost = jnp.sum(_cost(from_cars), axis=(0, 1))  # over cars and points
     if not len(scene.obstacles):
         return cost
     from_obstacles = _distance_of_obstacles(scene, own)
-    return cost + OBSTACLE_POINTS * jnp.sum(_cost(from_obstacles), axis=0)
+    return cost + CONTACT.obstacle_weight * jnp.sum(_cost(from_obstacles), axis=0)
 
 
 def contact_points(scene: Scene) -> Float[jax.Array, "points 2"]:
-    """Return the `CONTACT_POINTS` of a car in its own frame [m]."""
-    return jnp.asarray(CONTACT_POINTS) * jnp.asarray(scene.car_size)
+    """Return the points of a car whose distances from other cars cost plans [m].
+
+    They are in the car's own frame. Corners see all cars that drive along the same
+    road, and the centre sees those that cross.
+    """
+    centre = np.zeros((1, 2), np.float32)
+    in_sizes = np.concatenate([CORNERS / 2, centre])
+    return jnp.asarray(in_sizes) * jnp.asarray(scene.car_size)
 
 
 def car_residuals(
     scene: Scene, points: Float[Array, "2 points steps"], others: Motion
 ) -> Float[jax.Array, "others points steps"]:
-    """Return quantities whose squares have the second derivatives of `contact_cost` in
-    D.
+    """Return quantities whose squares bend in D like `contact_cost`.
 
     The derivatives of D are left to the caller; its second ones are left out
     (Gauss-Newton).
@@ -128,17 +134,17 @@ def obstacle_residuals(
     scene: Scene, own: Motion
 ) -> Float[jax.Array, "obstacles steps"]:
     """Return the same as `car_residuals` for obstacles."""
-    return OBSTACLE_POINTS**0.5 * _residual(_distance_of_obstacles(scene, own))
+    return CONTACT.obstacle_weight**0.5 * _residual(_distance_of_obstacles(scene, own))
 
 
 def _cost(distance: Numbers) -> Numbers:
-    return CONTACT_COST * jnp.maximum(CONTACT_MARGIN - distance, 0.0) ** 3
+    return CONTACT.cost * jnp.maximum(CONTACT.margin - distance, 0.0) ** 3
 
 
 def _residual(distance: Numbers) -> Numbers:
     """Return ``sqrt(c'' / 2) D`` of the cost c, with c'' taken as constant."""
-    depth = jnp.maximum(CONTACT_MARGIN - jax.lax.stop_gradient(distance), 0.0)
-    second_derivative = 6 * CONTACT_COST * depth
+    depth = jnp.maximum(CONTACT.margin - jax.lax.stop_gradient(distance), 0.0)
+    second_derivative = 6 * CONTACT.cost * depth
     return jnp.sqrt(second_derivative / 2) * distance
 
 
@@ -157,9 +163,7 @@ def _distance(size: Array, along: Numbers, across: Numbers) -> Numbers:
 
 
 def _obstacles_in_frame(scene: Scene, own: Motion) -> Directions:
-    """Return where obstacles are, along and across the car, arrays [obstacles, *times]
-    [m].
-    """
+    """Return where obstacles are, along and across the car [obstacles, *times] [m]."""
     ones = np.ones(own.x.ndim, int)
     x, y = jnp.asarray(scene.obstacles).T.reshape(2, -1, *ones)
     return place_in_frame(own[:4], x, y)

@@ -1,11 +1,11 @@
-"""Compute the features of driving states and rewards that are linear in them, r = theta
-. phi.
+"""Compute the features of driving states, and linear rewards r = theta . phi.
 
 Everything is computed for car 0 with car 1 as its partner. Lengths enter the features
 in the scene's ``length_unit`` U, so that weights do not depend on metres.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, partial
 
 import jax
@@ -19,22 +19,43 @@ from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
 from ms_highway.runtime.arrays import Array, Times
 
-HEADING_SHARE = 0.01  # of directional relative to lateral alignment with a lane
-SOFT_EDGE = (
-    0.2  # m, depth off the road beyond which the smooth feature is nearly quadratic
-)
-# m, width over which smooth indicators of a lane rise, and the nearest lane changes
-SOFT_LANE = 0.5
-SOFT_SLANT = (
-    0.02  # rad, heading beyond which the smooth width of a car grows nearly linearly
-)
-STANDSTILL_GAP = 0.06  # length units (2 m), between the bumpers of a standing queue
-MIN_GAP = 0.03  # length units (1 m), below which induced braking grows no further
-ATTENTION_GAP = (
-    0.6  # length units (20 m), gap at which the attention to a neighbour is 1 / e
-)
-# lane widths, standard deviation of the lateral distance of cars in the own lane
-LANE_SPREAD = 0.25
+HEADING_SHARE = 0.01
+"""Weight of directional relative to lateral alignment with a lane, the paper's."""
+
+
+@dataclass(frozen=True)
+class SmoothForms:
+    """Set how plans smooth jumps and kinks of features, so that these have slopes."""
+
+    edge: float = 0.2
+    """Depth off the road beyond which the smooth feature is nearly quadratic [m]."""
+    lane: float = 0.5
+    """Width over which indicators of a lane rise and the nearest lane changes [m]."""
+    slant: float = 0.02
+    """Heading beyond which a car's smooth width grows nearly linearly [rad]."""
+
+
+SMOOTH = SmoothForms()
+
+
+@dataclass(frozen=True)
+class TrafficSettings:
+    """Set the features of following and being followed, see `_traffic`.
+
+    A length unit is the paper's, 100/3 m.
+    """
+
+    standstill_gap: float = 0.06
+    """Gap between the bumpers of a standing queue [length units]: 2 m."""
+    min_gap: float = 0.03
+    """Gap below which induced braking grows no further [length units]: 1 m."""
+    attention_gap: float = 0.6
+    """Gap at which the attention to a neighbour is 1 / e [length units]: 20 m."""
+    lane_spread: float = 0.25
+    """Standard deviation of the lateral distance of cars in a lane [lane widths]."""
+
+
+TRAFFIC = TrafficSettings()
 
 
 def reward(
@@ -47,8 +68,9 @@ def reward(
 def features(
     scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
 ) -> Float[jax.Array, "*batch features"]:
-    """Compute the features phi of car 0 in each state, in the order of the reward's
-    names.
+    """Compute the features phi of car 0 in each state.
+
+    They are in the order of the reward's names:
 
     * speed: ``-f (f - 2 s) / s^2`` with ``f = v cos(heading)`` and s the speed limit;
     * lane_alignment: ``-min_lane (y - y_lane)^2 / U^2 + 0.01 cos(heading)``;
@@ -82,15 +104,12 @@ def motion_reward(
             smoothed, for plans; features of traffic are smooth by themselves.
     """
     columns = motion_features(scene, parameters, own, others, smooth)
-    return jnp.sum(
-        jnp.asarray(parameters.weights) * jnp.stack(columns, axis=-1), axis=-1
-    )
+    phi = jnp.stack(columns, axis=-1)
+    return jnp.sum(jnp.asarray(parameters.weights) * phi, axis=-1)
 
 
 def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
-    """Return the motions of car 0, arrays [*batch], and of the others, arrays [others,
-    *batch].
-    """
+    """Return the motions of car 0 [*batch] and of the others [others, *batch]."""
     cars = observe(jnp.moveaxis(jnp.asarray(states), -2, 0))
     return Motion(*(field[0] for field in cars)), Motion(*(field[1:] for field in cars))
 
@@ -98,8 +117,7 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
 def motion_features(
     scene: Scene, parameters: Reward, own: Motion, others: Motion, smooth: bool = False
 ) -> list[Times]:
-    """Compute the features of a car along its motion, one array for each of the
-    reward's names.
+    """Compute the features of a car along its motion, one array per name.
 
     Takes the arguments of `motion_reward`. Constants are inverted once, not divided by
     at every state.
@@ -107,25 +125,26 @@ def motion_features(
     per_unit = 1 / scene.length_unit
     forward = own.speed * own.cosine / parameters.speed_limit
     risk, collision = collision_risk(scene, own, others, smooth)
+
+    # How far the car is from its place behind the leader.
     behind = jnp.zeros_like(own.x)
     if scene.leader is not None:
         behind = (own.x - others.x[scene.leader - 1] + parameters.gap) * per_unit
-    aside, merged = _merging(scene, own, others, smooth)
-    traffic = (
-        _traffic(scene, parameters, own, others)
-        if TRAFFIC_FEATURES[0] in parameters.names
-        else []
-    )
+
+    from_target, merged = _merging(scene, own, others, smooth)
+    traffic = []
+    if TRAFFIC_FEATURES[0] in parameters.names:
+        traffic = _traffic(scene, parameters, own, others)
     return [
         -forward * (forward - 2),
         HEADING_SHARE * own.cosine - _off_lanes(scene, own, smooth) * per_unit**2,
         risk,
         collision,
         (depth_off_road(scene, own, smooth) * per_unit) ** 2,
-        -(aside[0] ** 2),
+        -(from_target[0] ** 2),
         -(behind**2),
         merged[0],
-        -(aside[1] ** 2),
+        -(from_target[1] ** 2),
         merged[1],
         *traffic,
         *(
@@ -138,8 +157,9 @@ def motion_features(
 def _at_every_moment(
     function: Feature, scene: Scene, own: Motion, others: Motion
 ) -> Times:
-    """Compute a user-defined feature along a motion; it is mapped over times, so that
-    it sees one moment at a time.
+    """Compute a user-defined feature along a motion.
+
+    It is mapped over times, so that it sees one moment at a time.
     """
     mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
     for _ in range(own.x.ndim):
@@ -154,8 +174,9 @@ def check_own_features(
     state: Float[Array, "cars 4"],
     gradients: bool = True,
 ) -> None:
-    """Check that user-defined features, as the robot and every human sees a state, are
-    finite with their gradients.
+    """Check that user-defined features and their gradients are finite in a state.
+
+    The robot and every human sees the state from its own side.
 
     Args:
         scene: road, obstacles and bodies.
@@ -170,57 +191,53 @@ def check_own_features(
     names = parameters.names[len(parameters.names) - len(parameters.own) :]
     for name, function in zip(names, parameters.own, strict=True):
         for car in range(1 + humans):
-            others = [
-                other for other in range(len(state)) if other != car
-            ]  # a human's partner is the robot
-            seen = np.asarray(state, np.float32)[np.array([car, *others])]
-            place = (
-                f"of car {car} in the state"
-                f" {np.round(np.asarray(state, float), 2).tolist()}"
-            )
-            try:
-                value, finite = _with_gradient(function)(scene, seen)
-            except Exception as error:  # a user's function may fail in any way
-                reason = str(error).partition("\n")[0]
-                raise ValueError(
-                    f"the feature {name!r} {place} cannot be computed: {reason}"
-                ) from error
-            if not np.isfinite(value):
-                raise ValueError(
-                    f"the feature {name!r} {place} is {float(value):g}; return a finite"
-                    " number"
-                )
-            if gradients and not finite:
-                remedy = (
-                    "keep roots and divisions away from 0, such as jnp.sqrt(x + 1e-6)"
-                )
-                raise ValueError(
-                    f"the feature {name!r} {place} has a gradient that is not finite;"
-                    f" {remedy}"
-                )
+            # A human's partner is the robot, which comes first among the others.
+            others = [other for other in range(len(state)) if other != car]
+            from_side = np.asarray(state, np.float32)[np.array([car, *others])]
+            shown = np.round(np.asarray(state, float), 2).tolist()
+            subject = f"the feature {name!r} of car {car} in the state {shown}"
+            _check_own_feature(function, scene, from_side, subject, gradients)
+
+
+def _check_own_feature(
+    function: Feature,
+    scene: Scene,
+    state: Float[np.ndarray, "cars 4"],
+    subject: str,
+    gradients: bool,
+) -> None:
+    """Check a feature of car 0 in one state, see `check_own_features`.
+
+    Raises:
+        ValueError: beginning with the subject.
+    """
+    try:
+        value, finite = _with_gradient(function)(scene, state)
+    except Exception as error:  # a user's function may fail in any way
+        reason = str(error).partition("\n")[0]
+        raise ValueError(f"{subject} cannot be computed: {reason}") from error
+    if not np.isfinite(value):
+        raise ValueError(f"{subject} is {float(value):g}; return a finite number")
+    if gradients and not finite:
+        remedy = "keep roots and divisions away from 0, such as jnp.sqrt(x + 1e-6)"
+        raise ValueError(f"{subject} has a gradient that is not finite; {remedy}")
 
 
 @cache
 def _with_gradient(
     function: Feature,
 ) -> Callable[[Scene, Array], tuple[jax.Array, jax.Array]]:
-    """Compile what returns a feature of car 0 in a state, and whether its gradient is
-    finite.
-    """
+    """Compile the value of a feature of car 0, and whether its gradient is finite."""
 
-    def found(scene: Scene, state: Array) -> tuple[jax.Array, jax.Array]:
-        both = _apart(state)
+    def value_and_finite(scene: Scene, state: Array) -> tuple[jax.Array, jax.Array]:
+        motions = _apart(state)
         value, slopes = jax.value_and_grad(
             lambda both: jnp.asarray(function(scene, *both), jnp.float32)
-        )(both)
-        return (
-            value,
-            jnp.stack(
-                [jnp.isfinite(part).all() for part in jax.tree.leaves(slopes)]
-            ).all(),
-        )
+        )(motions)
+        finite = [jnp.isfinite(part).all() for part in jax.tree.leaves(slopes)]
+        return value, jnp.stack(finite).all()
 
-    return jax.jit(found)
+    return jax.jit(value_and_finite)
 
 
 def _traffic(
@@ -240,6 +257,7 @@ def _traffic(
     * induced_braking: ``-sum w (max(v_j - v, 0)^2 / (2 U^2 max(g, 0.03)))^2`` over the
       cars behind: the braking [U/s^2] that keeps them from hitting this car.
     """
+    # w of every other car, 0 for those behind or ahead [others, *times].
     along, gap, attended = attention(scene, own, others)
     ahead, behind = (
         jnp.where(place, attended, 0.0) for place in (along > 0, along <= 0)
@@ -247,72 +265,72 @@ def _traffic(
     per_unit = 1 / scene.length_unit
     speed = own.speed * per_unit
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
-    braking = faster**2 / (2 * jnp.maximum(gap, MIN_GAP))
-    return [
-        own.cosine,
-        -jnp.sum(
-            ahead * (gap - STANDSTILL_GAP - parameters.headway * speed) ** 2, axis=0
-        ),
-        -jnp.sum(
-            ahead * ((own.speed - others.speed) / parameters.speed_limit) ** 2, axis=0
-        ),
-        -jnp.sum(behind * braking**2, axis=0),
-    ]
+    braking = faster**2 / (2 * jnp.maximum(gap, TRAFFIC.min_gap))
+
+    gap_error = gap - TRAFFIC.standstill_gap - parameters.headway * speed
+    headway = -jnp.sum(ahead * gap_error**2, axis=0)
+    approach = (own.speed - others.speed) / parameters.speed_limit
+    closing_speed = -jnp.sum(ahead * approach**2, axis=0)
+    induced_braking = -jnp.sum(behind * braking**2, axis=0)
+    return [own.cosine, headway, closing_speed, induced_braking]
 
 
 def _off_lanes(scene: Scene, car: Motion, smooth: bool) -> Times:
-    """Return the squared distance from the nearest lane [m^2]; the smooth form has no
-    kink between lanes.
+    """Return the squared distance from the nearest lane [m^2].
+
+    The smooth form, ``-w^2 log sum exp(-d^2 / w^2)`` over the lanes, has no kink
+    between them.
     """
-    squares = (car.y[..., None] - jnp.asarray(scene.lanes)) ** 2
+    squares = (car.y[..., None] - jnp.asarray(scene.lanes)) ** 2  # [*times, lanes]
     nearest = squares.min(axis=-1)
     if not smooth:
         return nearest
-    nearest = jax.lax.stop_gradient(
-        nearest
-    )  # subtracted only to keep exponentials finite
-    return nearest - SOFT_LANE**2 * jnp.log(
-        jnp.sum(jnp.exp((nearest[..., None] - squares) / SOFT_LANE**2), axis=-1)
-    )
+
+    # The nearest is subtracted only to keep exponentials finite.
+    nearest = jax.lax.stop_gradient(nearest)
+    closeness = jnp.exp((nearest[..., None] - squares) / SMOOTH.lane**2)
+    return nearest - SMOOTH.lane**2 * jnp.log(jnp.sum(closeness, axis=-1))
 
 
 def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, Times]:
-    """Return how far ahead others are, the gaps to them [length units], and the
-    attention to them, see `_traffic`.
+    """Return how far ahead others are, the gaps to them, and the attention to them.
+
+    Distances are in length units. See `_traffic` for the attention.
     """
     per_unit = 1 / scene.length_unit
     along = (others.x - own.x) * per_unit
-    across = (others.y - own.y) / (LANE_SPREAD * scene.lane_width)
+    across = (others.y - own.y) / (TRAFFIC.lane_spread * scene.lane_width)
     gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
-    return along, gap, jnp.exp(-gap / ATTENTION_GAP - across**2 / 2)
+    return along, gap, jnp.exp(-gap / TRAFFIC.attention_gap - across**2 / 2)
 
 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:
-    """Return how far the outermost corner is beyond the edge of the road, 0 on the road
-    [m].
+    """Return how far the outermost corner is beyond the edge of the road [m].
 
-    The smooth form is its `soft_positive` with `SOFT_EDGE`.
+    It is 0 on the road. The smooth form is its `soft_positive`.
     """
+    # How far the body reaches to the side of its centre.
     length, width = scene.car_size
-    slant = (
-        jnp.sqrt(car.sine**2 + SOFT_SLANT**2) - SOFT_SLANT
-        if smooth
-        else jnp.abs(car.sine)
-    )
+    if smooth:
+        slant = jnp.sqrt(car.sine**2 + SMOOTH.slant**2) - SMOOTH.slant
+    else:
+        slant = jnp.abs(car.sine)
     reach = (length * slant + width * jnp.abs(car.cosine)) / 2
+
+    # How far that is beyond the edge, half a lane beyond the outermost lane's centre.
     low = jnp.min(jnp.asarray(scene.lanes))
     high = jnp.max(jnp.asarray(scene.lanes))
-    depth = (
-        jnp.abs(car.y - (low + high) / 2) + reach - (high - low + scene.lane_width) / 2
-    )
-    return (
-        soft_positive(depth, SOFT_EDGE) if smooth else jnp.where(depth > 0, depth, 0.0)
-    )
+    from_middle = jnp.abs(car.y - (low + high) / 2)
+    depth = from_middle + reach - (high - low + scene.lane_width) / 2
+    if smooth:
+        return soft_positive(depth, SMOOTH.edge)
+    return jnp.where(depth > 0, depth, 0.0)
 
 
 def soft_positive(excess: Array, soft: float) -> Array:
-    """Return ``z^2 / (z + soft)`` of the positive part z of an excess: quadratic at
-    first, then nearly linear.
+    """Return ``z^2 / (z + soft)`` of the positive part z of an excess.
+
+    It is quadratic at first, then nearly linear.
     """
     positive = jnp.where(excess > 0, excess, 0.0)
     return positive**2 / (positive + soft)
@@ -321,20 +339,21 @@ def soft_positive(excess: Array, soft: float) -> Array:
 def _merging(
     scene: Scene, own: Motion, others: Motion, smooth: bool
 ) -> tuple[Times, Times]:
-    """Return the distances of the car and its partner from the target lane [length
-    units], and whether they are in it.
+    """Return how far the car and its partner are from the target lane, and in it.
 
-    The indicator is 1 where ``y + width / 2 sin(heading)`` is beyond the lane's inner
-    edge, else 0; its smooth form is a sigmoid of the depth beyond the edge.
+    The distances are in length units. The indicator of being in the lane is 1 where ``y
+    + width / 2 sin(heading)`` is beyond its inner edge, else 0; its smooth form is a
+    sigmoid of the depth beyond the edge.
     """
     y = jnp.stack([own.y, others.y[0]])
     sine = jnp.stack([own.sine, others.sine[0]])
+
+    # The target lane is the left one, entered at y below its inner edge, or the right.
     side = jnp.where(scene.target_lane <= jnp.mean(jnp.asarray(scene.lanes)), -1.0, 1.0)
-    aside = y - scene.target_lane
-    depth = side * (aside + scene.car_size[1] / 2 * sine) + scene.lane_width / 2
-    merged = (
-        jax.nn.sigmoid(depth / SOFT_LANE)
-        if smooth
-        else jax.lax.stop_gradient(depth > 0).astype(y.dtype)
-    )
-    return aside / scene.length_unit, merged
+    offset = y - scene.target_lane
+    depth = side * (offset + scene.car_size[1] / 2 * sine) + scene.lane_width / 2
+    if smooth:
+        merged = jax.nn.sigmoid(depth / SMOOTH.lane)
+    else:
+        merged = jax.lax.stop_gradient(depth > 0).astype(y.dtype)
+    return offset / scene.length_unit, merged

@@ -1,5 +1,4 @@
-"""Sum a car's reward over its trajectory among those of others, and differentiate the
-sum.
+"""Sum a car's reward over its trajectory among those of others, and differentiate it.
 
 The payoff of a plan for seconds includes the cost of stopping too late before obstacles
 (`stopping_cost`), as horizons end before an obstacle matters. Without this cost, a car
@@ -33,8 +32,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.collision_risk import (
-    SMOOTH_FACTOR,
-    SMOOTH_MARGIN,
+    RISK,
     Bodies,
     bodies_around,
 )
@@ -57,25 +55,33 @@ from ms_highway.geometry.bodies import body_points
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
 
-STOPPING_MARGIN = (
-    0.8  # car lengths (4 m) left to an obstacle after a stop: room to steer around it
-)
-LATERAL_MARGIN = (
-    0.4  # car widths (1 m) between bodies, at which an obstacle is no longer in the way
-)
-SMOOTHING = 0.2  # beyond which the cost of being late or aligned is nearly linear
+
+@dataclass(frozen=True)
+class StoppingSettings:
+    """Set the room that plans keep to stop before obstacles, see `stopping_cost`."""
+
+    room: float = 0.8
+    """Distance left to an obstacle after a stop [car lengths]: 4 m to steer around it.
+    """
+    lateral_gap: float = 0.4
+    """Gap between bodies at which an obstacle is out of the way [car widths]: 1 m."""
+    smoothing: float = 0.2
+    """Excess beyond which the cost of being late or aligned is nearly linear [1]."""
+
+
+STOPPING = StoppingSettings()
 
 
 def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
-    """Return the cost of stopping too late before obstacles that are ahead in the car's
-    way, ``sum r^2`` with::
+    """Return the cost of stopping too late before obstacles ahead, ``sum r^2`` with::
 
         r = soft(d) soft(1 - (dy / w)^2) s,  soft(z) = max(z, 0)^2 / (max(z, 0) + 0.2)
         d = (v^2 / (2 b) + l - dx) / car length + room
 
     The centres are (dx, dy) apart. Bodies touch at ``dx = l``, and pass each other with
-    `LATERAL_MARGIN` between them at ``dy = w``. The factor s falls smoothly from 1 at
-    ``dx = l`` to 0 at ``dx = -l``, where the obstacle is passed.
+    the ``lateral_gap`` of `StoppingSettings` between them at ``dy = w``. The factor s
+    falls smoothly from 1 at ``dx = l`` to 0 at ``dx = -l``, where the obstacle is
+    passed.
 
     Args:
         scene: obstacles and sizes of bodies.
@@ -91,19 +97,24 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
 def lateness(
     scene: Scene, braking: Scalar, own: Motion
 ) -> Float[jax.Array, "obstacles steps"]:
-    """Return r of `stopping_cost` for every obstacle, zero except in the step half-way."""
+    """Return r of `stopping_cost` for each obstacle, zero except in the middle step."""
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
     car_length, car_width = jnp.asarray(scene.car_size)
     length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
-    gap = obstacle_x - own.x
-    late = soft_positive(
-        (own.speed**2 / (2 * braking) + length - gap) / car_length + STOPPING_MARGIN,
-        SMOOTHING,
-    )
-    aligned = soft_positive(
-        1 - ((own.y - obstacle_y) / (width + LATERAL_MARGIN * car_width)) ** 2,
-        SMOOTHING,
-    )
+    gap = obstacle_x - own.x  # dx, between centres
+
+    # soft(d): how much too late the car would stop.
+    stopping_distance = own.speed**2 / (2 * braking)
+    too_far = (stopping_distance + length - gap) / car_length + STOPPING.room
+    late = soft_positive(too_far, STOPPING.smoothing)
+
+    # soft(1 - (dy / w)^2): how much the obstacle is in the car's way.
+    offset = own.y - obstacle_y
+    clear = width + STOPPING.lateral_gap * car_width
+    in_way = 1 - (offset / clear) ** 2
+    aligned = soft_positive(in_way, STOPPING.smoothing)
+
+    # s: smooth step from the obstacle's near end to its far end.
     ahead = jnp.clip((gap / length + 1) / 2, 0.0, 1.0)
     steps = own.x.shape[-1]
     half_way = np.arange(steps) == (steps - 1) // 2
@@ -111,7 +122,10 @@ def lateness(
 
 
 Bends = Float[jax.Array, "fields fields steps"]
-Points = Float[jax.Array, "2 points steps"]
+"""Second derivatives in the fields of a trajectory at every step."""
+
+PointPlaces = Float[jax.Array, "2 points steps"]
+"""x and y of points of a car."""
 
 
 class SecondOrder(NamedTuple):
@@ -131,8 +145,9 @@ class SecondOrder(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Payoff:
-    """What trajectories earn. It holds only what this needs, so that all plans share
-    one trace of each method.
+    """What trajectories earn.
+
+    It holds only what this needs, so that all plans share one trace of each method.
 
     Attributes:
         scene: road, obstacles and bodies.
@@ -149,14 +164,12 @@ class Payoff:
 
     @property
     def avoids_contact(self) -> bool:
-        """Whether plans pay near other bodies; they do if they climb a smooth reward."""
+        """Whether plans pay near other bodies: if they climb a smooth reward."""
         return self.smooth and self.scene.bodies_collide
 
     @jax.jit
     def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
-        """Compute the reward after each step of a trajectory, among the trajectories of
-        all others.
-        """
+        """Compute the reward after each step of a trajectory among those of others."""
         motion = Motion(*own)
         around = Motion(*jnp.moveaxis(others, 1, 0))
         rewards = motion_reward(self.scene, self.reward, motion, around, self.smooth)
@@ -164,9 +177,8 @@ class Payoff:
             rewards = rewards - contact_cost(self.scene, motion, around)
         if self.braking is None:
             return rewards
-        return rewards - self.reward.price("collision") * stopping_cost(
-            self.scene, self.braking, motion
-        )
+        price = self.reward.price("collision")
+        return rewards - price * stopping_cost(self.scene, self.braking, motion)
 
     @jax.jit
     def total(self, own: Trajectory, others: Trajectories) -> Scalar:
@@ -177,7 +189,7 @@ class Payoff:
     def slopes(
         self, own: Trajectory, others: Trajectories
     ) -> tuple[Trajectory, Trajectories]:
-        """Differentiate the sum in the car's trajectory, and in those of all others."""
+        """Differentiate the sum in the car's trajectory, and in those of others."""
         return jax.grad(lambda *paths: self.total(*paths), argnums=(0, 1))(own, others)
 
     @jax.jit
@@ -193,12 +205,11 @@ class Payoff:
 
     @jax.jit
     def curvature(self, own: Trajectory, others: Trajectories) -> Bends:
-        """Return a convex matrix in place of minus the Hessian of the sum, in the
-        fields of the car's trajectory.
+        """Return a convex matrix in place of minus the Hessian of the sum.
 
-        For costs ``c_j(q_j)`` of quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds)
-        (dq_j/ds)^T``. For the distances D of `ms_highway.game.collision_risk`, ``|c_j'|
-        d2D_j/ds2`` is added.
+        It is in the fields of the car's trajectory. For costs ``c_j(q_j)`` of
+        quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the
+        distances D of `ms_highway.game.collision_risk`, ``|c_j'| d2D_j/ds2`` is added.
         """
         scene = self.scene
         around = Motion(*jnp.moveaxis(others, 1, 0))
@@ -219,14 +230,17 @@ class Payoff:
     def _residuals(
         self, others: Motion, path: Trajectory
     ) -> Float[jax.Array, "residuals steps"]:
-        """Return quantities whose squares are, up to constants, the costs of features
-        of the road and of traffic.
+        """Return quantities whose squares are the costs of road and traffic.
+
+        They are so up to constants.
         """
         scene = self.scene
         reward = self.reward
         own = Motion(*path)
         per_unit = 1 / self.scene.length_unit
         weights = dict(zip(reward.names, jnp.unstack(reward.weights), strict=True))
+
+        # Pairs of a weight and a quantity that it weighs the square of.
         costs = [
             (weights["speed"], own.speed * own.cosine / reward.speed_limit),
             (weights["lane_alignment"] + weights["target_lane"], own.y * per_unit),
@@ -236,24 +250,20 @@ class Payoff:
             costs.append((weights["gap"], own.x * per_unit))
         if "headway" in weights:
             along, _, attended = attention(scene, own, others)
-            ahead = jax.lax.stop_gradient(
-                jnp.sqrt(jnp.where(along > 0, attended, 0.0).sum(axis=0))
-            )
-            costs.append(
-                (
-                    weights["headway"],
-                    ahead * (own.x + reward.headway * own.speed) * per_unit,
-                )
-            )
-            costs.append(
-                (weights["closing_speed"], ahead * own.speed / reward.speed_limit)
-            )
+            to_leaders = jnp.where(along > 0, attended, 0.0).sum(axis=0)
+            share = jax.lax.stop_gradient(jnp.sqrt(to_leaders))
+            reach = share * (own.x + reward.headway * own.speed) * per_unit
+            pace = share * own.speed / reward.speed_limit
+            costs.append((weights["headway"], reach))
+            costs.append((weights["closing_speed"], pace))
         residuals = jnp.stack(
             [
                 jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity
                 for weight, quantity in costs
             ]
         )
+
+        # Costs of plans that the reward does not weigh.
         if self.avoids_contact and len(scene.obstacles):
             residuals = jnp.concatenate([residuals, obstacle_residuals(scene, own)])
         if self.braking is None:
@@ -262,42 +272,52 @@ class Payoff:
         return jnp.concatenate([residuals, late])
 
     def _closeness(
-        self, bodies: Bodies, points: Points
+        self, bodies: Bodies, points: PointPlaces
     ) -> Float[jax.Array, "3 bodies points steps"]:
-        """Return quantities whose squares bend like closeness: the offset from a body
-        along and across it, and D.
+        """Return quantities whose squares bend like closeness.
+
+        With the offsets p along and q across a body, in halves of its length and width,
+        closeness costs ``c(D - 1)`` at ``D = p^2 + q^2``. The quantities are
+        ``sqrt(-c') p``, ``sqrt(-c') q`` and ``sqrt(c'' / 2) (D - 1)``, with both roots
+        taken as constant.
         """
+        # Offsets of the points in the frame of each body [bodies, points, steps].
         other = Motion(*(part[:, None] for part in bodies.motion))
         dx = points[0] - other.x
         dy = points[1] - other.y
         ahead = (other.cosine * dx + other.sine * dy) / (bodies.length / 2)
         across = (other.cosine * dy - other.sine * dx) / (bodies.width / 2)
         distance = ahead**2 + across**2 - 1
-        near = jax.lax.stop_gradient(distance)
-        close = (
+
+        # Derivatives of the cost of the risk, -c' and c'' / 2.
+        now = jax.lax.stop_gradient(distance)
+        risk = (
             self.reward.price("collision_risk")
             * bodies.share
-            * jnp.exp(-bodies.sharpness * near)
+            * jnp.exp(-bodies.sharpness * now)
         )
-        fall = bodies.sharpness * close
-        bend = bodies.sharpness**2 * close / 2
+        fall = bodies.sharpness * risk
+        half_bend = bodies.sharpness**2 * risk / 2
+
+        # Those of the smooth indicator, factor max(margin - (D - 1), 0)^3.
         if not self.avoids_contact:
-            price = SMOOTH_FACTOR * self.reward.price("collision")
-            depth = jnp.maximum(SMOOTH_MARGIN - near, 0.0)
+            price = RISK.smooth_factor * self.reward.price("collision")
+            depth = jnp.maximum(RISK.smooth_margin - now, 0.0)
             fall = fall + 3 * price * depth**2
-            bend = bend + 3 * price * depth
+            half_bend = half_bend + 3 * price * depth
         fall = jnp.sqrt(fall)
-        bend = jnp.sqrt(bend)
-        return jnp.stack([fall * ahead, fall * across, bend * distance])
+        half_bend = jnp.sqrt(half_bend)
+        return jnp.stack([fall * ahead, fall * across, half_bend * distance])
 
 
 def _bends_of_points(
     own: Trajectory,
     points: Float[jax.Array, "points 2"],
-    residuals: Callable[[Points], Float[jax.Array, "*rows points steps"]],
+    residuals: Callable[[PointPlaces], Float[jax.Array, "*rows points steps"]],
 ) -> Bends:
-    """Return half of how the sum of squares of residuals bends in the fields of a
-    trajectory.
+    """Return half of the second derivatives of the sum of squares of residuals.
+
+    They are in the fields of a trajectory.
 
     Args:
         own: trajectory of the car.
@@ -307,14 +327,20 @@ def _bends_of_points(
     """
     along, across = points.T[..., None]
 
-    def places_of(path: Trajectory) -> Points:
+    def places_of(path: Trajectory) -> PointPlaces:
         x, y, cosine, sine, _ = path
         return jnp.stack(
             [x + cosine * along - sine * across, y + sine * along + cosine * across]
         )
 
-    places, moved = along_fields(places_of, own)
-    _, slopes = along_fields(residuals, places)
-    rows = tuple(range(2, slopes.ndim - 1))
-    bends = jnp.sum(slopes[:, None] * slopes, axis=rows)  # one kernel, unlike an einsum
-    return jnp.einsum("fapt,abpt,gbpt->fgt", moved, bends, moved)
+    # Derivatives of the places in the fields, and of the residuals in the places.
+    places, place_slopes = along_fields(places_of, own)
+    _, residual_slopes = along_fields(residuals, places)
+
+    # Gauss-Newton: products of slopes, summed over residuals but not points. A sum is
+    # one kernel, unlike an einsum.
+    rows = tuple(range(2, residual_slopes.ndim - 1))
+    bends = jnp.sum(residual_slopes[:, None] * residual_slopes, axis=rows)
+
+    # Chain rule, summed over points: f and g are fields, a and b coordinates of places.
+    return jnp.einsum("fapt,abpt,gbpt->fgt", place_slopes, bends, place_slopes)

@@ -3,11 +3,7 @@
 import jax
 import numpy as np
 
-from ms_highway.game.collision_risk import (
-    CAR_SHARPNESS,
-    OBSTACLE_SHARE,
-    OBSTACLE_SHARPNESS,
-)
+from ms_highway.game.collision_risk import RISK
 from ms_highway.game.features import features
 from ms_highway.game.reward import PAPER_FEATURES, linear_reward
 from ms_highway.geometry.bodies import CORNERS, MIDDLES
@@ -32,12 +28,14 @@ def by_formula(scene, cars):
         )
         return np.sum(np.exp(-sharpness * distance))
 
-    others = sum(closeness(*car[:3], scene.car_size, CAR_SHARPNESS) for car in cars[1:])
+    others = sum(
+        closeness(*car[:3], scene.car_size, RISK.car_sharpness) for car in cars[1:]
+    )
     cones = sum(
-        closeness(*cone, 0.0, scene.obstacle_size, OBSTACLE_SHARPNESS)
+        closeness(*cone, 0.0, scene.obstacle_size, RISK.obstacle_sharpness)
         for cone in scene.obstacles
     )
-    return others + OBSTACLE_SHARE * cones
+    return others + RISK.obstacle_share * cones
 
 
 def test_the_risk_of_a_collision_is_that_of_its_formula(played):

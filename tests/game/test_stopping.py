@@ -9,7 +9,7 @@ from driving import dense_merge
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import move, swap_roles
-from ms_highway.game.payoff import LATERAL_MARGIN, STOPPING_MARGIN, stopping_cost
+from ms_highway.game.payoff import STOPPING, stopping_cost
 from ms_highway.game.scenario import GRIP, build_game
 from ms_highway.game.scenarios import DENSE_MERGE
 from ms_highway.planning.compiled_plans import CompiledPlans
@@ -20,9 +20,11 @@ SCENE = replace(GAME.scene, obstacles=GAME.scene.obstacles[:1])
 (CONE,) = SCENE.obstacles
 CAR, CAR_WIDTH = SCENE.car_size
 LENGTH, TOUCH = (SCENE.car_size + SCENE.obstacle_size) / 2
-WIDTH = TOUCH + LATERAL_MARGIN * CAR_WIDTH  # m, at which an obstacle is out of the way
+WIDTH = (
+    TOUCH + STOPPING.lateral_gap * CAR_WIDTH
+)  # m, at which an obstacle is out of the way
 SPEED = 20.0
-STOP = CONE[0] - LENGTH - STOPPING_MARGIN * CAR  # m, where a car stands with room
+STOP = CONE[0] - LENGTH - STOPPING.room * CAR  # m, where a car stands with room
 STEPS = 20
 HALF = 9
 
