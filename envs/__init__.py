@@ -16,138 +16,68 @@ from gymnasium.envs.registration import EnvCreator
 from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.demonstration import DemonstrationEnv
 from ms_highway.game.scenario import Scenario
-from ms_highway.game.scenarios import (
-    CROSSING_CROWD,
-    CROSSING_CROWD_V1,
-    DENSE_MERGE,
-    DENSE_MERGE_V1,
-    GIVE_WAY,
-    GIVE_WAY_V1,
-    MERGER,
-    MERGER_V1,
-    STAY_BACK,
-    STAY_BACK_V1,
-)
+from ms_highway.game.scenarios import PACKAGE_SCENARIOS
 from ms_highway.planning.ladders import ladder
 from ms_highway.runtime.definitions import note_definition
-from ms_highway.runtime.names import SCENARIO_CLASSES, VERSIONED, check_name, versioned
+from ms_highway.runtime.names import (
+    VERSIONED,
+    check_name,
+    environment_class_name,
+    versioned,
+)
 
 __all__ = [
     "DEMONSTRATION_ID",
     "ENVIRONMENTS",
     "PAPER_SCENARIOS",
     "SCENARIOS",
-    "CrossingCrowdEnv",
-    "CrossingCrowdV1Env",
     "DemonstrationEnv",
-    "DenseMergeEnv",
-    "DenseMergeV1Env",
-    "GiveWayEnv",
-    "GiveWayV1Env",
     "InteractionEnv",
-    "MergerEnv",
-    "MergerV1Env",
-    "StayBackEnv",
-    "StayBackV1Env",
     "add_scenario",
     "environment_id",
     "scenario_name",
 ]
 
 
-class StayBackEnv(InteractionEnv):
-    """The robot on the left and the human on the right approach cones that only one car
-    at a time can pass.
-    """
-
-    scenario = STAY_BACK
-
-
-class MergerEnv(InteractionEnv):
-    """The robot on the right wants into the left lane, between a scripted car and the
-    human behind it.
-    """
-
-    scenario = MERGER
+def _environment_class(scenario: Scenario) -> type[InteractionEnv]:
+    """Return a class of environments of a scenario, which `__getattr__` finds by name."""
+    name = environment_class_name(scenario.name)
+    members = {
+        "__doc__": f"Environments of the scenario ``{scenario.name}``.",
+        "__module__": __name__,
+        "scenario": scenario,
+    }
+    return type(name, (InteractionEnv,), members)
 
 
-class GiveWayEnv(InteractionEnv):
-    """The robot drives in the left lane between two scripted cars; the human beside it
-    wants to merge.
-    """
-
-    scenario = GIVE_WAY
-
-
-class StayBackV1Env(InteractionEnv):
-    """Stay Back within what tyres hold: plans last two seconds, and the human starts
-    ahead of the robot.
-    """
-
-    scenario = STAY_BACK_V1
-
-
-class MergerV1Env(InteractionEnv):
-    """Merger within what tyres hold: plans of a second."""
-
-    scenario = MERGER_V1
-
-
-class GiveWayV1Env(InteractionEnv):
-    """Give Way within what tyres hold: plans of a second."""
-
-    scenario = GIVE_WAY_V1
-
-
-class DenseMergeEnv(InteractionEnv):
-    """The robot's lane ends; it has to get into a stream of humans in the lane beside
-    it.
-    """
-
-    scenario = DENSE_MERGE
-
-
-class DenseMergeV1Env(InteractionEnv):
-    """A careful robot merges into a dense stream of yielding humans; plans last a
-    second, within tyre grip.
-    """
-
-    scenario = DENSE_MERGE_V1
-
-
-class CrossingCrowdEnv(InteractionEnv):
-    """The robot crosses one stream of humans to join another, so that other humans
-    matter early and late.
-    """
-
-    scenario = CROSSING_CROWD
-
-
-class CrossingCrowdV1Env(InteractionEnv):
-    """A careful robot crosses a stream of yielding humans and joins another; plans last
-    a second, within tyre grip.
-    """
-
-    scenario = CROSSING_CROWD_V1
-
-
-ENVIRONMENTS: dict[str, type[InteractionEnv]] = {
-    name: globals()[environment] for name, environment in SCENARIO_CLASSES.items()
+_PACKAGE_ENVIRONMENTS = {
+    name: _environment_class(scenario) for name, scenario in PACKAGE_SCENARIOS.items()
 }
-"""The environments by the names of their scenarios."""
 
-SCENARIOS: dict[str, Scenario] = {
-    name: environment.scenario for name, environment in ENVIRONMENTS.items()
-}
-"""The scenarios by name."""
+ENVIRONMENTS: dict[str, type[InteractionEnv]] = dict(_PACKAGE_ENVIRONMENTS)
+"""The classes of environments by the names of their scenarios, with those added."""
 
-PACKAGE_SCENARIOS = tuple(SCENARIOS)
+SCENARIOS: dict[str, Scenario] = dict(PACKAGE_SCENARIOS)
+"""The scenarios by name, with those added."""
+
 PAPER_SCENARIOS = ("stay_back", "merger", "give_way")
 """Names of the paper's scenarios."""
 
 DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 """The Gymnasium id of the `DemonstrationEnv`; its prefix lets spawned workers find it.
 """
+
+
+def __getattr__(name: str) -> type[InteractionEnv]:
+    """Return the class of a scenario's environments by its name, ``MergerV1Env`` for
+    ``merger-v1``.
+
+    Gymnasium's entry points and pickles find the classes so.
+    """
+    for environment in _PACKAGE_ENVIRONMENTS.values():
+        if environment.__name__ == name:
+            return environment
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def scenario_name(name: str) -> str:
@@ -209,7 +139,7 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
             f" {remedy}"
         )
     name = scenario.name
-    check_name("a scenario", name, PACKAGE_SCENARIOS)
+    check_name("a scenario", name, tuple(PACKAGE_SCENARIOS))
     scenario.check()
     place = f"scenario {name!r} has the ladder {scenario.ladder!r}"
     try:
@@ -218,7 +148,8 @@ def add_scenario(environment: type[InteractionEnv]) -> str:
         raise ValueError(
             f"{place}: {error}; register a model of your own before"
         ) from error
-    ENVIRONMENTS[name], SCENARIOS[name] = environment, environment.scenario
+    ENVIRONMENTS[name] = environment
+    SCENARIOS[name] = scenario
     note_definition(name, environment)
     bare_id = environment_id(name).removeprefix("ms_highway:")
     gymnasium.registry.pop(bare_id, None)

@@ -42,8 +42,7 @@ import lazy_loader  # noqa: E402
 from gymnasium.envs.registration import register as _register_environment  # noqa: E402
 from gymnasium.envs.registration import registry as _registry  # noqa: E402
 
-from ms_highway.runtime.names import SCENARIO_CLASSES as _SCENARIO_CLASSES  # noqa: E402
-from ms_highway.runtime.names import versioned as _versioned  # noqa: E402
+from ms_highway.runtime import names as _names  # noqa: E402
 
 if getattr(_find_spec("pygame"), "origin", None) is None:
     raise ImportError(
@@ -62,19 +61,21 @@ if not (
 __version__ = version("ms-highway")
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-# By string, also for workers that are spawned.
-_ENVIRONMENTS = {
-    _versioned(_name): (f"envs:{_class}", f"ms_highway.envs.vector:{_versioned(_name)}")
-    for _name, _class in _SCENARIO_CLASSES.items()
+# Entry points are strings, so that nothing is loaded before an environment is made.
+_ENTRY_POINTS: dict[str, tuple[str, str | None]] = {
+    "demonstration-v0": ("ms_highway.envs:DemonstrationEnv", None),
+    "recorded-v0": ("ms_highway.recorded:RecordedEnv", None),
 }
-_ENVIRONMENTS["demonstration-v0"] = ("envs:DemonstrationEnv", None)
-_ENVIRONMENTS["recorded-v0"] = ("recorded:RecordedEnv", None)
+for _scenario in _names.SCENARIO_NAMES:
+    _id = _names.versioned(_scenario)
+    _ENTRY_POINTS[_id] = (
+        f"ms_highway.envs:{_names.environment_class_name(_scenario)}",
+        f"ms_highway.envs.vector:{_id}",
+    )
 
-for _name, (_class, _vector) in _ENVIRONMENTS.items():
-    if f"ms-highway/{_name}" not in _registry:
-        _register_environment(
-            f"ms-highway/{_name}", f"ms_highway.{_class}", vector_entry_point=_vector
-        )
+for _id, (_single, _vector) in _ENTRY_POINTS.items():
+    if f"ms-highway/{_id}" not in _registry:
+        _register_environment(f"ms-highway/{_id}", _single, vector_entry_point=_vector)
 
 # Version 0 is the paper's physics, not an older version of the same: Gymnasium's advice
 # to upgrade is wrong there.

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ms_highway.cli.console import MAX_COUNT, Option, number, option, output
-from ms_highway.runtime.names import SCENARIO_CLASSES
+from ms_highway.runtime.names import SCENARIO_NAMES
 
 if TYPE_CHECKING:
     from ms_highway.experiments.comparison import Comparison
@@ -78,7 +78,7 @@ A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 SCENARIOS = option(
     "scenarios",
-    f"{', '.join(SCENARIO_CLASSES)} (default: the paper's)",
+    f"{', '.join(SCENARIO_NAMES)} (default: the paper's)",
     nargs="*",
     metavar="SCENARIO",
 )

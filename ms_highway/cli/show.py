@@ -30,7 +30,7 @@ from ms_highway.cli.options import (
     comparison,
     configuration,
 )
-from ms_highway.runtime.names import SCENARIO_CLASSES
+from ms_highway.runtime.names import SCENARIO_NAMES
 
 if TYPE_CHECKING:
     from ms_highway.experiments.batch import Batch
@@ -117,7 +117,7 @@ def report(options: argparse.Namespace) -> None:
 @command(
     "video",
     "film an episode",
-    option("scenario", ", ".join(SCENARIO_CLASSES), metavar="SCENARIO"),
+    option("scenario", ", ".join(SCENARIO_NAMES), metavar="SCENARIO"),
     option("--controller", CONTROLLERS, DEFAULT_CONTROLLER, metavar="CONTROLLER"),
     option(
         "--against",

@@ -1,5 +1,7 @@
 """The package's scenarios: three of the paper with one human, and some with several.
 
+The first sentence behind each of them describes it in ``notebooks/REFERENCE.md``.
+
 The paper gives positions in a unit of 100/3 m, ``UNIT``.
 """
 
@@ -38,7 +40,9 @@ STAY_BACK = Scenario(
         (-0.25 * UNIT, 0.04 * UNIT),
     ),
 )
-"""Cones narrow the road, and two cars side by side do not fit between them."""
+"""The robot on the left and the human on the right approach cones that only one car at a
+time can pass.
+"""
 
 MERGER = Scenario(
     name="merger",
@@ -52,8 +56,10 @@ MERGER = Scenario(
     human_gap=0.25 * UNIT,
     merging_car=0,
 )
-"""The gap in the left lane is too small for the robot unless the human behind it
-yields.
+"""The robot on the right wants into the left lane, between a scripted car and the human
+behind it.
+
+The gap is too small unless the human yields.
 """
 
 GIVE_WAY = Scenario(
@@ -80,7 +86,11 @@ GIVE_WAY = Scenario(
     merging_car=1,
     corner=0.675 / sqrt(2),
 )
-"""The human wants into the robot's lane, and the robot is paid for letting it in."""
+"""The robot drives in the left lane between two scripted cars; the human beside it wants
+to merge.
+
+The robot is paid for letting the human in.
+"""
 
 
 def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
@@ -111,10 +121,11 @@ STAY_BACK_V1 = _physical(
     cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)),
     steps=60,
 )
-"""The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives
-1.5 m/s faster.
+"""Stay Back within what tyres hold: plans last two seconds, and the human starts ahead of
+the robot.
 
-Within the grip of tyres, one car has to slow down in time for the other one. Nearer
+The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives
+1.5 m/s faster. Within the grip of tyres, one car has to slow down in time for the other one. Nearer
 starts leave no room for that. From 1.3 m farther back, all models earn the same.
 
 The human's start lies between starts of 6.0 to 6.5 m ahead, from which naive plans
@@ -123,7 +134,10 @@ From 5.8 m ahead, both collide; from 7 m ahead, those under turn do in one of 48
 """
 
 MERGER_V1 = _physical(MERGER, 10)
+"""Merger within what tyres hold: plans last a second."""
+
 GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
+"""Give Way within what tyres hold: plans last a second."""
 
 
 def _lane_end(first_cone: float) -> tuple[tuple[float, float], ...]:
@@ -167,8 +181,9 @@ def _merge_among_several(
 DENSE_MERGE = _merge_among_several(
     "dense_merge", 80, (-0.1 * UNIT, 0.0), 2.0, (Stream(-0.1 * UNIT),)
 )
-"""The robot's lane ends, and most gaps in the stream beside it are too short for a car
-unless a human yields.
+"""The robot's lane ends; it has to get into a stream of humans in the lane beside it.
+
+Most gaps in the stream are too short for a car unless a human yields.
 """
 
 CROSSING_CROWD = _merge_among_several(
@@ -178,10 +193,10 @@ CROSSING_CROWD = _merge_among_several(
     1.5,
     (Stream(-0.1 * UNIT, 0.95 * SPEED_LIMIT), Stream(-0.2 * UNIT, 1.05 * SPEED_LIMIT)),
 )
-"""The robot's lane ends, and it wants to cross the stream of humans beside it and to
-join another one in the left lane.
+"""The robot crosses one stream of humans to join another, so that other humans matter
+early and late.
 
-At first, the humans in the middle lane matter: the robot has to get between them before
+Its own lane ends, and it wants into the left lane. At first, the humans in the middle lane matter: the robot has to get between them before
 the cones. Later, those in the left lane do; they drive faster, so that the robot meets
 others there than its neighbours at the start.
 """
@@ -209,9 +224,10 @@ DENSE_MERGE_V1 = _physical(
     streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),),
     **SEVERAL_V1,
 )
-"""The stream is denser than in version 0, and the cones are farther away.
+"""A careful robot merges into a dense stream of yielding humans; plans last a second,
+within tyre grip.
 
-Spacing and speed were chosen so that naive plans succeed in less than half of the
+The stream is denser than in version 0, and the cones are farther away. Spacing and speed were chosen so that naive plans succeed in less than half of the
 episodes, and theory of mind in nearly all.
 """
 
@@ -225,9 +241,27 @@ CROSSING_CROWD_V1 = _physical(
     ),
     **SEVERAL_V1,
 )
-"""Both streams are denser than in version 0, the cones are farther away, and there are
-six seconds to arrive.
+"""A careful robot crosses a stream of yielding humans and joins another; plans last a
+second, within tyre grip.
 
-Spacing, cones and time were chosen so that naive plans fail in a quarter of the
+Both streams are denser than in version 0, the cones are farther away, and there are six
+seconds to arrive. Spacing, cones and time were chosen so that naive plans fail in a quarter of the
 episodes, and theory of mind in few.
 """
+
+PACKAGE_SCENARIOS = {
+    scenario.name: scenario
+    for scenario in (
+        STAY_BACK,
+        MERGER,
+        GIVE_WAY,
+        DENSE_MERGE,
+        CROSSING_CROWD,
+        STAY_BACK_V1,
+        MERGER_V1,
+        GIVE_WAY_V1,
+        DENSE_MERGE_V1,
+        CROSSING_CROWD_V1,
+    )
+}
+"""The package's scenarios by name: those of `ms_highway.runtime.names.SCENARIO_NAMES`."""

@@ -6,21 +6,19 @@ import re
 from collections.abc import Callable, Iterable
 from itertools import chain
 
-SCENARIO_CLASSES = {
-    "stay_back": "StayBackEnv",
-    "merger": "MergerEnv",
-    "give_way": "GiveWayEnv",
-    "dense_merge": "DenseMergeEnv",
-    "crossing_crowd": "CrossingCrowdEnv",
-    "stay-back-v1": "StayBackV1Env",
-    "merger-v1": "MergerV1Env",
-    "give-way-v1": "GiveWayV1Env",
-    "dense-merge-v1": "DenseMergeV1Env",
-    "crossing-crowd-v1": "CrossingCrowdV1Env",
-}
-"""Classes of `ms_highway.envs` by the names of their scenarios, for ids and help texts,
-which load no JAX.
-"""
+SCENARIO_NAMES = (
+    "stay_back",
+    "merger",
+    "give_way",
+    "dense_merge",
+    "crossing_crowd",
+    "stay-back-v1",
+    "merger-v1",
+    "give-way-v1",
+    "dense-merge-v1",
+    "crossing-crowd-v1",
+)
+"""Names of the package's scenarios, for ids and help texts, which load no JAX."""
 
 VERSIONED = re.compile(r".*-v\d+")
 """Names of scenarios that end in a version; the other scenarios are at version 0."""
@@ -49,6 +47,14 @@ def versioned(scenario: str) -> str:
         if VERSIONED.fullmatch(scenario)
         else f"{scenario.replace('_', '-')}-v0"
     )
+
+
+def environment_class_name(scenario: str) -> str:
+    """Return the name of the class of a scenario's environments: ``MergerV1Env`` for
+    ``merger-v1``.
+    """
+    words = re.split("[_-]", scenario)
+    return f"{''.join(map(str.capitalize, words))}Env"
 
 
 def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:

@@ -12,7 +12,7 @@ from ms_highway.cli.main import COMMANDS, main, parse
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.demonstration import DENSITIES
 from ms_highway.planning.ladders import PAPER_MODELS
-from ms_highway.runtime.names import SCENARIO_CLASSES
+from ms_highway.runtime.names import SCENARIO_NAMES
 
 HELP = """
 import sys
@@ -74,11 +74,7 @@ def test_help_fits_the_terminal_and_its_examples_parse(name, monkeypatch, capsys
 
 
 def test_help_texts_name_what_the_package_has():
-    named = {
-        environment.scenario.name: environment.__name__
-        for environment in ENVIRONMENTS.values()
-    }
-    assert named == SCENARIO_CLASSES
+    assert tuple(ENVIRONMENTS) == SCENARIO_NAMES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
     controllers = options.CONTROLLERS.split(", ")
     assert controllers[: len(PAPER_MODELS)] == list(PAPER_MODELS)

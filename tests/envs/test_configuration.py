@@ -25,8 +25,7 @@ from ms_highway.data.learned_reward import save, shipped
 from ms_highway.envs import (
     ENVIRONMENTS,
     SCENARIOS,
-    MergerEnv,
-    MergerV1Env,
+    InteractionEnv,
     add_scenario,
     environment_id,
     registry,
@@ -52,6 +51,7 @@ from ms_highway.experiments.batch import make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.runner import make_environment
 from ms_highway.game.dynamics import keep_velocity
+from ms_highway.game.scenarios import MERGER
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.planning.ladders import BEST, MODELS
@@ -168,7 +168,7 @@ PARALYSED = {"type": "ContinuousAction", "longitudinal": False, "lateral": False
 @pytest.mark.parametrize(("config", "message"), WRONG)
 def test_a_wrong_configuration_is_refused_with_key_value_and_remedy(config, message):
     with pytest.raises(ValueError, match=re.escape(message)):
-        MergerEnv.checked_config(config)
+        ENVIRONMENTS["merger"].checked_config(config)
 
 
 def test_nested_configurations_merge_and_a_new_type_replaces():
@@ -286,10 +286,10 @@ def test_a_short_name_stands_for_a_configuration(text, config):
     assert controller_settings(text).belief == ("belief" in config)
 
 
-class ZipperEnv(MergerEnv):
+class ZipperEnv(InteractionEnv):
     """A scenario of one's own."""
 
-    scenario = replace(MergerEnv.scenario, name="zipper")
+    scenario = replace(MERGER, name="zipper")
 
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -624,7 +624,7 @@ def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
                 assert np.isnan(jax.jit(env.step)(state, 0)[2])
             return env.step(state, 0)
         if loop == "batch":
-            env = MergerV1Env(config)
+            env = ENVIRONMENTS["merger-v1"](config)
             start = env.settings.start(2, np.random.default_rng())
             playing = replace(
                 shared_loop(env, [env.settings.controller]),
@@ -713,8 +713,8 @@ def test_a_rung_beyond_32_bits_is_not_taken_for_another_one():
 
 
 def add_own_scenario(name):
-    scenario = replace(MergerEnv.scenario, name=name)
-    add_scenario(type("OwnEnv", (MergerEnv,), {"scenario": scenario}))
+    scenario = replace(MERGER, name=name)
+    add_scenario(type("OwnEnv", (InteractionEnv,), {"scenario": scenario}))
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from ms_highway.data.learned_reward import shipped
-from ms_highway.envs import ENVIRONMENTS, MergerEnv, add_scenario
+from ms_highway.envs import ENVIRONMENTS, InteractionEnv, add_scenario
 from ms_highway.game.scenario import HUMANS, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
 from ms_highway.game.starts import CARELESS_FACTOR, draw_episode
@@ -137,7 +137,7 @@ def test_a_scenario_that_cannot_be_driven_is_refused_when_it_is_added(changes, m
         add_scenario(
             type(
                 "MineEnv",
-                (MergerEnv,),
+                (InteractionEnv,),
                 {"scenario": replace(MERGER, name="mine", **changes)},
             )
         )
@@ -155,7 +155,7 @@ def test_only_a_class_of_environments_with_a_scenario_is_added():
             ),
         ),
         (
-            type("NoneEnv", (MergerEnv,), {"scenario": None}),
+            type("NoneEnv", (InteractionEnv,), {"scenario": None}),
             "`scenario` of NoneEnv is None; make it a ms_highway.Sc",
         ),
     ):

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from ms_highway.envs import ENVIRONMENTS, SCENARIOS, MergerEnv, add_scenario
+from ms_highway.envs import ENVIRONMENTS, SCENARIOS, InteractionEnv, add_scenario
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import MEASURED, Comparison
 from ms_highway.experiments.runner import episode, make_environment
@@ -84,10 +84,10 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
         )
 
 
-class NearsightedEnv(MergerEnv):
+class NearsightedEnv(InteractionEnv):
     """Merger among drivers who plan 0.3 s ahead, from starts of its own."""
 
-    scenario = replace(MergerEnv.scenario, name="nearsighted")
+    scenario = replace(SCENARIOS["merger"], name="nearsighted")
 
     def configure(self, config):
         super().configure(config)

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 import pytest
 
-from ms_highway.envs import MergerEnv
+from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.configuration import read_own
 from ms_highway.envs.settings import Settings
 from ms_highway.game.game import total_reward
@@ -128,7 +128,9 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
             "costs": given,
             **config,
         }
-        return read_own(Settings, MergerEnv.checked_config(config)).counted.seconds
+        return read_own(
+            Settings, ENVIRONMENTS["merger"].checked_config(config)
+        ).counted.seconds
 
     published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")
     assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)
