@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium import spaces
 
 from ms_highway.envs.configuration import Config
-from ms_highway.envs.game_env import Timing
+from ms_highway.envs.info import plan_info
 from ms_highway.runtime.names import keep_apart
 from ms_highway.runtime.sources import digest
 
@@ -225,15 +225,8 @@ class AgentDrives(gym.Wrapper):
         """Return ``info`` with all keys that it has under a controller; the agent's
         seconds are added to the times.
         """
-        usual = {
-            "model": model,
-            "models": (model,),
-            "gains": {},
-            "status": status,
-            "choice_failed": False,
-            "plan_steps": 0,
-            "converged": False,
-        }
-        timing = info.get("timing", Timing(0.0, 0.0, 0.0))
+        usual = plan_info(None, 1)
+        timing = info.get("timing", usual["timing"])
         timing = replace(timing, decision_seconds=timing.decision_seconds + seconds)
-        return {**usual, **info, "timing": timing}
+        chosen = {"model": model, "models": (model,), "gains": {}, "status": status}
+        return {**usual, **chosen, **info, "timing": timing}

@@ -11,145 +11,41 @@ from highway_env.road.road import Road
 from jaxtyping import Int
 
 from ms_highway.choice.belief import first_belief
-from ms_highway.choice.rule import NOT_ESTIMATED, in_order
+from ms_highway.choice.rule import in_order
 from ms_highway.envs.configuration import Changes, Config, as_dictionary, read_own
+from ms_highway.envs.configured import not_simulated
 from ms_highway.envs.controllers import KEYBOARD
-from ms_highway.envs.game_env import Cone, GameEnv, Timing, straight_road
+from ms_highway.envs.game_env import Cone, GameEnv, straight_road
 from ms_highway.envs.graphics import InteractionViewer
+from ms_highway.envs.human_drivers import draw_drivers, human_controller, vehicle_class
+from ms_highway.envs.info import InteractionInfo, gains_info, human_status, plan_info
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
-from ms_highway.envs.viewer import Keyboard
 from ms_highway.game.dynamics import facing
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.game.reward import COMPUTATION
 from ms_highway.game.scenario import TIME_STEP, Scenario
 from ms_highway.game.starts import Random, draw_episode
-from ms_highway.loop.controller import (
-    HUMAN_DRIVERS,
-    Controller,
-    ControlStep,
-    FunctionDriver,
-    draw_key,
-    is_vehicle,
-)
-from ms_highway.loop.driver import fixed
-from ms_highway.loop.records import HUMAN_PLANS
+from ms_highway.loop.controller import ControlStep
 from ms_highway.planning.costs import UNKNOWN, measure_costs
-from ms_highway.runtime.arrays import HumansWeights, State, read_only
+from ms_highway.runtime.arrays import Array, HumansWeights, State, read_only
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
-
-BELIEFS_GONE = (
-    "config['beliefs'] is gone since 3.0.0; leave it out, as the robot assumes of"
-    " several humans the reward that theirs are drawn around"
-)
-UNTIL_FIRST: Config = {
-    "model": "",
-    "status": "",
-    "choice_failed": False,
-    "plan_steps": 0,
-    "converged": False,
-}
-"""What ``info`` says of the robot's last step, with the values before the first step.
-"""
 
 
 class InteractionEnv(GameEnv):
     """A robot among human drivers in a `ms_highway.game.scenario.Scenario`.
 
     Every human plans for its own reward and believes that all other cars, the robot
-    included, keep their velocity. In scenarios with streams, the humans' rewards are
-    drawn for every episode, so that some humans yield more readily than others. There,
-    the robot succeeds if it ends in the target lane and never collides.
+    included, keep their velocity. The reward of the environment is the robot's r_R
+    after the step.
 
-    The configuration has highway-env's keys and those below. A default that is not
-    named here is the scenario's. Changes act from the next reset on, and ``config``
-    describes the current episode until then. Before the first reset and after the end
-    of an episode, ``configure`` changes ``config`` and spaces at once:
+    ``notebooks/REFERENCE.md`` is the manual: actions, observations, rewards, the keys
+    of ``config`` and of ``info``, and the options of ``reset``. The keys of ``config``
+    that highway-env does not have are the fields of `ms_highway.envs.settings.Settings`.
 
-    * ``action``: who drives. ``{"type": "Autopilot"}``: the robot's controller;
-      ``{"type": "HumanModelAction", "lambda": 0.1}``: the agent chooses the model of
-      every human; ``{"type": "ContinuousAction"}``: the agent drives, by accelerations
-      of +-5 m/s^2, front-wheel angles of +-0.1 rad and speeds from 0 to 40 m/s unless
-      ``acceleration_range``, ``steering_range`` and ``speed_range`` say otherwise.
-    * ``controller``: chooses a model for every human in every step. ``{"type":
-      "learned", "lambda": 1.0}`` (default) chooses by a learned value of computation,
-      from naive, turn and tom; its ``"values"`` are ``"shipped"`` or a file of
-      ``ms-highway values learn``. ``{"type": "switching", "lambda": 0.1, "cooldown": 3,
-      "trust_radius": 1.5}`` chooses by the paper's Algorithm 1
-      (`ms_highway.choice.quadratic.Quadratic`); ``{"type": "budget", "milliseconds":
-      20}`` chooses what gains most within this time; ``{"type": "nearest", "count":
-      2}`` predicts the nearest humans by the top of the ladder. ``{"type": "fixed",
-      "model": "tom"}`` always takes the same model; ``{"type": "schedule", "models":
-      ["tom", "tom", "naive"]}`` takes a model per step and keeps the last one;
-      ``{"type": "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the
-      episode starts. A short name stands for each, such as ``"tom"`` or
-      ``"learned:1"``, see `ms_highway.envs.registry.controller_config`. With
-      ``"belief": True``, any of them infers from each human's behaviour which model
-      predicts that human (`ms_highway.choice.belief`), and counts on no response that
-      the human does not show.
-    * ``ladder``: names of human models, cheapest first, or ``"best"``
-      (`ms_highway.planning.ladders`).
-    * ``costs``: T(M), the seconds that count for a plan under model M: ``"published"``,
-      the paper's (default with one human); ``"shipped"``, measured on one core (default
-      with several humans, and in physical scenarios); ``"measured"``, on this machine
-      in the first step; or seconds by model, of which ``tom@8`` takes its share. Among
-      several humans, T(M) is of a plan that predicts one human by M and the others by
-      the first rung, and T is additive. With ``"shipped"``, budgets choose by measured
-      times, so that episodes of one seed may differ.
-    * ``semantics``: ``"paper"``, the paper's dynamics; ``"physical"``, the same within
-      what tyres hold, where a collision is an overlap of bodies
-      (`ms_highway.game.contact`) instead of the paper's indicator; or ``"released"``,
-      the paper's released code; see `ms_highway.game.scenario.build_game`.
-    * ``human_reward``: what humans drive for, in the world and in the robot's models of
-      them: ``"learned"`` from demonstrations; ``"published"``; ``"us101"``, learned
-      from drivers on that highway; weights by name, of
-      `ms_highway.game.reward.weight_names`; or None for the reward of the semantics:
-      published in released semantics, or else learned. Aims of the scenario, such as a
-      human's target lane, stay unless weights name them. A learned reward has no weight
-      of ``collision``, and that of the highway none of leaving the road.
-    * ``humans``: number of humans, from 2 to 20 in scenarios with streams.
-    * ``yielding``: what humans do beside the robot: ``"usual"``, plan for their reward;
-      ``"never"``, keep their velocity and never yield; ``"always"``, make room for the
-      robot (`ms_highway.loop.controller`); or ``"mixed"``, one of the last two, drawn
-      for each human when the episode starts.
-    * ``human_driver``: what drives the humans instead of plans for their reward: a name
-      of `ms_highway.add_driver`, or ``"keyboard"``: the arrow keys drive the first
-      human, in a window (``render_mode="human"``).
-    * ``way_out``: whether the robot keeps a way out from humans who do not yield, see
-      `ms_highway.planning.way_out`.
-    * ``control_limit``: bounds on curvature [1/m] and acceleration [m/s^2] of plans;
-      ``"unlimited"``; or None for the scenario's bounds, in released semantics for no
-      bounds.
-    * ``grip``: the total acceleration that tyres hold, across and along [m/s^2], such
-      as `ms_highway.game.scenario.GRIP`: it limits plans and executed controls, without
-      reversing; None sets no limit, as in the paper, but stands for ``GRIP`` in
-      physical semantics. It does not apply where the agent drives.
-    * ``solver``: how plans are improved: ``"gradient"``, the paper's steps; or
-      ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
-      (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room
-      between bodies.
-    * ``horizon``: number of planned controls, of robot and humans.
-    * ``time_step``: duration of a step of plans and of the environment [s].
-    * ``iterations``: number of gradient steps of a plan; None for what suits the
-      horizon.
-    * ``step_size``: length of a gradient step per unit of gradient; None for what suits
-      the horizon; a longer one gives a warning. See
-      `ms_highway.numerics.solvers.PlanningSettings`.
-    * ``duration``: length of an episode [s]; ``terminate_on_collision``: whether a
-      collision ends it.
-
-    ``reset`` takes ``options={"initial_states": ...}`` instead of drawn starts: an
-    array [cars, 4] of x, y, heading and speed in SI units, of the robot, the humans and
-    the scripted cars in this order. Whole turns of a heading count for nothing: they
-    are left out.
-
-    The reward is the robot's r_R after the step. A collision only costs reward, as in
-    the paper: cars neither push each other nor stop. ``notebooks/REFERENCE.md`` lists
-    the keys of ``info``. The executed ``control`` may exceed the default ranges of
-    actions: divided by the ends of wider ranges, such as
-    `ms_highway.envs.demonstration.ACTION`, it is the ``ContinuousAction`` that does the
-    same within ``speed_range``.
+    A subclass with an attribute ``scenario`` is an environment of one's own, see
+    `ms_highway.add_scenario`.
 
     Attributes:
         game: that the robot believes in; robot and humans play a game that is assigned
@@ -174,22 +70,15 @@ class InteractionEnv(GameEnv):
     def default_config(cls) -> Config:
         """Return highway-env's default configuration with the scenario's keys."""
         scenario = cls.scenario
-        several = bool(cls.scenario.streams)
+        several = bool(scenario.streams)
+        physical = scenario.semantics == "physical"
         return {
             **super().default_config(),
-            "observation": {
-                "type": (
-                    "SceneStates" if scenario.semantics == "physical" else "CarStates"
-                )
-            },
+            "observation": {"type": "SceneStates" if physical else "CarStates"},
             "action": {"type": "Autopilot"},
             "controller": {"type": "learned", "lambda": 1.0},
             "ladder": list(scenario.ladder),
-            "costs": (
-                "shipped"
-                if several or scenario.semantics == "physical"
-                else "published"
-            ),
+            "costs": "shipped" if several or physical else "published",
             "semantics": scenario.semantics,
             "human_reward": None,
             "humans": scenario.humans,
@@ -216,7 +105,10 @@ class InteractionEnv(GameEnv):
         that they fit each other.
         """
         if "beliefs" in as_dictionary("the configuration", changes or {}):
-            raise ValueError(BELIEFS_GONE)
+            raise ValueError(
+                "config['beliefs'] is gone since 3.0.0; leave it out, as the robot"
+                " assumes of several humans the reward that theirs are drawn around"
+            )
         config = super().checked_config(changes, config)
         if isinstance(config["controller"], str):
             config["controller"] = controller_config(config["controller"])
@@ -245,49 +137,61 @@ class InteractionEnv(GameEnv):
         self.counted = settings.counted
         self.costs = UNKNOWN if settings.measures else self.counted
         self._rungs = [model.name for model in settings.models]
-        self._measures = settings.measures
-        self._budgets = settings.controller.budget is not None
 
+    # The start of an episode: road and cars
+
+    @not_simulated
     def _reset(self) -> None:
-        """Build the road, place the cars, and give them drivers."""
+        """Draw the start, build the road with its cars, and give them drivers."""
         states, weights = self.draw_episode(self.np_random)
         self.weights = read_only(np.asarray(weights))
-        given = self.options.get("initial_states")
-        if given is not None:
-            states = np.array(given, dtype=float)
-            shape = (self.cars, 4)
-            if states.shape != shape or not np.isfinite(states).all():
-                remedy = (
-                    f"{self.scenario.name} needs an array {shape} of finite numbers"
-                )
-                raise ValueError(
-                    f"options['initial_states'] is {states.tolist()}; {remedy}"
-                )
-            states = facing(states)
-        humans = self.settings.humans
-        driver = HUMAN_DRIVERS.get(self.settings.human_driver or "")
-        human: Any = driver if is_vehicle(driver) else HumanVehicle
-        kinds = [
-            RobotVehicle,
-            *[human] * humans,
-            *[ScriptedVehicle] * (self.cars - 1 - humans),
-        ]
-        self.road = Road(straight_road(self.game), np_random=self.np_random)
-        self._place(
-            [
-                kind(self.road, state[:2], *state[2:])
-                for kind, state in zip(kinds, states, strict=True)
-            ]
-        )
-        for car in self.road.vehicles[: 1 + humans if human is HumanVehicle else 1]:
-            car.dynamics = jax.tree.map(float, self.game.world)
-        self.road.objects = [
-            Cone(self.road, place)
-            for place in np.asarray(self.game.scene.obstacles, dtype=float)
-        ]
+        if self.options.get("initial_states") is not None:
+            states = self._initial_states(self.options["initial_states"])
+        self._build_road(states)
         self.history = []
         self._collided = False
         self._drive()
+
+    def _initial_states(self, given: object) -> State:
+        """Return the states of all cars that the options of `reset` give.
+
+        Raises:
+            ValueError: unless they are finite numbers for every car.
+        """
+        states = np.array(given, dtype=float)
+        shape = (self.cars, 4)
+        if states.shape != shape or not np.isfinite(states).all():
+            remedy = f"{self.scenario.name} needs an array {shape} of finite numbers"
+            raise ValueError(
+                f"options['initial_states'] is {states.tolist()}; {remedy}"
+            )
+        return facing(states)
+
+    def _build_road(self, states: State) -> None:
+        """Build the road with its cones, and place the cars in these states [cars, 4]."""
+        self.road = Road(straight_road(self.game), np_random=self.np_random)
+
+        # Robot, humans and scripted cars, in this order.
+        humans = self.settings.humans
+        human_class = vehicle_class(self.settings.human_driver)
+        classes: list[Any] = [
+            RobotVehicle,
+            *[human_class] * humans,
+            *[ScriptedVehicle] * (self.cars - 1 - humans),
+        ]
+        cars = [
+            kind(self.road, state[:2], *state[2:])
+            for kind, state in zip(classes, states, strict=True)
+        ]
+        self._place(cars)
+
+        # Cars that plan move by the dynamics of the game.
+        planning = 1 + humans if human_class is HumanVehicle else 1
+        for car in cars[:planning]:
+            car.dynamics = jax.tree.map(float, self.game.world)
+
+        cones = np.asarray(self.game.scene.obstacles, dtype=float)
+        self.road.objects = [Cone(self.road, place) for place in cones]
 
     @property
     def keys_drive(self) -> bool:
@@ -307,47 +211,32 @@ class InteractionEnv(GameEnv):
         """
         return draw_episode(self.scenario, random, self.game.humans)
 
-    def draw_drivers(self, random: Random) -> Int[Any, "humans"]:
+    # Drivers
+
+    def draw_drivers(self, random: Random) -> Int[Array, "humans"]:
         """Return the number of every human's driver, see
         `ms_highway.loop.records.HUMAN_PLANS`.
         """
-        humans = self.settings.humans
-        names = self.settings.drivers
-        first = HUMAN_PLANS + 1  # number of the first name
+        return draw_drivers(self.settings.drivers, self.settings.humans, random)
 
-        # One of two drivers is drawn for each human.
-        if len(names) > 1:
-            return first + (random.uniform(size=humans) < 0.5)
-
-        # The only name drives all of them, but the keyboard the first one alone;
-        # without a name, they plan.
-        only = HUMAN_PLANS + len(names)
-        plans = (np.arange(humans) > 0) & (names == (KEYBOARD,))
-        return np.where(plans, HUMAN_PLANS, only)
-
+    @not_simulated
     def _drive(self) -> None:
         """Give the cars their drivers."""
         cars = self.road.vehicles
-        truth = replace(
-            self.game, humans=replace(self.game.humans, weights=self.weights)
-        )
-        for place, (human, number) in enumerate(
-            zip(self.humans, self.draw_drivers(self.np_random), strict=True)
-        ):
-            own = swap_roles(truth, place)
-            name = (None, *self.settings.drivers)[number]
-            added = HUMAN_DRIVERS.get(name, Keyboard) if name else None
-            if is_vehicle(added):  # which drives by itself
-                continue
-            driver: Controller = fixed(own)
-            if name:
-                driver = FunctionDriver(
-                    own, name, added, draw_key(added, self.np_random)
-                )
-            human.drive_with(driver, [car for car in cars if car is not human])
+        humans = replace(self.game.humans, weights=self.weights)
+        truth = replace(self.game, humans=humans)
+        names = (None, *self.settings.drivers)
+        numbers = self.draw_drivers(self.np_random)
+        for place, human in enumerate(self.humans):
+            own_game = swap_roles(truth, place)
+            name = names[numbers[place]]
+            controller = human_controller(own_game, name, self.np_random)
+            if controller is not None:
+                human.drive_with(controller, [car for car in cars if car is not human])
         if isinstance(self.action_type, Autopilot):
             self._drive_robot(self.game)
 
+    @not_simulated
     def _drive_robot(self, game: Game) -> None:
         """Give the robot its driver, with unknown costs before they are measured."""
         settings = self.settings
@@ -359,12 +248,15 @@ class InteractionEnv(GameEnv):
         driver = settings.controller.driver(game, start, settings.way_out, order)
         self.robot.drive_with(driver, self.road.vehicles[1:])
 
+    # Costs of computation
+
+    @not_simulated
     def measure(self) -> None:
         """Measure T(M) of the ladder with the cars where they are: the median, or the
         99 % quantile for budgets.
         """
         settings = self.settings
-        quantile = 0.99 if self._budgets else 0.5
+        quantile = 0.5 if settings.controller.budget is None else 0.99
         self.costs = measure_costs(
             self.game, settings.models, self.car_states, quantile, settings.way_out
         )
@@ -375,6 +267,17 @@ class InteractionEnv(GameEnv):
     def seconds(self) -> dict[str, float]:
         """See the attributes of the class."""
         return self.costs.seconds
+
+    def _clocked(self) -> bool:
+        """Return whether measured times have a say in the choice of models."""
+        settings = self.settings
+        controller = settings.controller
+        if isinstance(self.action_type, HumanModelAction):
+            return settings.measures
+        budgets = controller.budget is not None
+        return budgets or (settings.measures and controller.chooses)
+
+    # The present state
 
     @property
     def robot(self) -> RobotVehicle:
@@ -387,6 +290,7 @@ class InteractionEnv(GameEnv):
         return self.road.vehicles[1 : 1 + self.settings.humans]
 
     @property
+    @not_simulated
     def success(self) -> bool:
         """Whether the robot is in the target lane and has not collided so far."""
         return bool(
@@ -400,13 +304,16 @@ class InteractionEnv(GameEnv):
         """
         return float(cone_distances(self.game.scene, self.car_states[:1])[0])
 
+    # A step
+
+    @not_simulated
     def _simulate(self, action: Any = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent
         pay for the model it chose.
         """
+        # Not at the reset: JAX must not start before the first step, so that processes
+        # can fork.
         if not self.costs.names and isinstance(self.action_type, Autopilot):
-            # not at the reset: JAX must not start before the first step, so that
-            # processes can fork
             self.measure()
             if self.robot.controller is not None and self.settings.controller.chooses:
                 self._drive_robot(self.robot.controller.game)
@@ -419,65 +326,37 @@ class InteractionEnv(GameEnv):
         self.history.append((step, self._reward(action)))
 
     def _info(self, obs: Any, action: Any = None) -> Config:
-        """Describe the last step, see ``notebooks/REFERENCE.md``; keys, types and
-        shapes are the same after a reset.
-        """
+        """Describe the last step; keys, types and shapes are the same after a reset."""
         info = super()._info(obs, action)
-        settings = self.settings
-        streams = bool(self.scenario.streams)
-        info["human_status"] = tuple(map(_status, self.humans))
-        if streams:
-            info["distance_to_cones"] = self.distance_to_cones
-            info["success"] = info["is_success"] = self.success
+        several = bool(self.scenario.streams)
+        own: InteractionInfo = {
+            "human_status": tuple(human_status(human) for human in self.humans)
+        }
+        if several:
+            own["distance_to_cones"] = self.distance_to_cones
+            own["success"] = own["is_success"] = self.success
         if not isinstance(self.action_type, Autopilot):
-            return info
+            return info | own
 
-        # What drives the robot.
+        # The robot plans, or a function drives it.
         step = self.robot.last_step
+        settings = self.settings
         controller = settings.controller
-        asked = isinstance(self.action_type, HumanModelAction)
-        if step:
-            info |= {
-                "model": step.model,
-                "status": step.status,
-                "choice_failed": step.choice_failed,
-                "plan_steps": step.plan_steps,
-                "converged": step.converged,
-            }
-            info["models"] = step.models
-            times = step.planning_seconds, step.decision_seconds, step.compile_seconds
-        else:
-            info |= UNTIL_FIRST
-            info["models"] = ("",) * settings.humans
-            times = 0.0, 0.0, 0.0
-        info["timing"] = Timing(*map(float, times))
+        plan = plan_info(step, settings.humans)
         if controller.predicts:
-            info["counted_seconds"] = (
-                self.counted.of_models(step.counted_models) if step else 0.0
-            )
+            counted = self.counted.of_models(step.counted_models) if step else 0.0
+            own["counted_seconds"] = counted
         if controller.belief:
-            info["belief"] = read_only(
-                step.belief if step else first_belief(settings.humans)
-            )
+            belief = step.belief if step else first_belief(settings.humans)
+            own["belief"] = read_only(belief)
 
-        # Estimates of the rule, and whether measured times had a say.
-        chooses = controller.chooses and not asked
-        info["gains"] = dict.fromkeys(self._rungs, NOT_ESTIMATED) if chooses else {}
-        if chooses and step:
-            info["gains"] |= step.highest_gains()
-        clocked = self._measures and (asked or controller.chooses)
-        info["clocked"] = clocked or (not asked and self._budgets)
-        if streams:
-            info |= {
-                f"humans_{name}": info["models"].count(name) for name in self._rungs[1:]
-            }
-        return info
-
-
-def _status(human: Any) -> str | None:
-    """Return the status of a human's last step: an empty text before the first, None
-    for cars that do not plan.
-    """
-    if not hasattr(human, "last_step"):  # highway-env's vehicles have none
-        return None
-    return human.last_step.status if human.last_step else ""
+        # The agent's choice needs no gains.
+        agent_chooses = isinstance(self.action_type, HumanModelAction)
+        own["gains"] = {}
+        if controller.chooses and not agent_chooses:
+            own["gains"] = gains_info(step, self._rungs)
+        own["clocked"] = self._clocked()
+        if several:
+            counts = {name: plan["models"].count(name) for name in self._rungs[1:]}
+            info |= {f"humans_{name}": count for name, count in counts.items()}
+        return info | plan | own

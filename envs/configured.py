@@ -2,9 +2,9 @@
 configuration and checked actions.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -45,6 +45,18 @@ from ms_highway.envs.spaces import (
 from ms_highway.envs.viewer import Viewer, check_window, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.limits import Positive
+
+Method = TypeVar("Method", bound=Callable[..., object])
+
+
+def not_simulated(method: Method) -> Method:
+    """Mark a method of a step that a simulation in JAX computes in its own way.
+
+    A simulation refuses classes that override such a method, which it does not call.
+    """
+    method.__dict__["not_simulated"] = True
+    return method
+
 
 OWN_TYPES = {
     kind.__name__: kind
@@ -318,6 +330,7 @@ class ConfiguredEnv(AbstractEnv):
             return range(space.n)
         return super().get_available_actions()
 
+    @not_simulated
     def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
 

@@ -1,9 +1,6 @@
-"""Define the base of environments that play a game: road and cones, car 0's reward by
-feature, times of a step.
-"""
+"""Define the base of environments that play a game: road, cones and the reward of car 0."""
 
-from dataclasses import dataclass, field
-from typing import Any, ClassVar
+from typing import Any
 
 import jax
 import numpy as np
@@ -13,7 +10,8 @@ from highway_env.road.road import RoadNetwork
 from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.envs.configuration import Config
-from ms_highway.envs.configured import ConfiguredEnv
+from ms_highway.envs.configured import ConfiguredEnv, not_simulated
+from ms_highway.envs.info import GameInfo
 from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import CONE_SIZE
@@ -48,33 +46,6 @@ def straight_road(game: Game) -> RoadNetwork:
     return network
 
 
-@dataclass(frozen=True)
-class Timing:
-    """Measured times of the robot's step. Any two compare equal, so that episodes can
-    be compared without their times.
-
-    Attributes:
-        planning_seconds: wall time of the plan, compilation excluded.
-        decision_seconds: wall time of choosing the model, compilation excluded; 0
-            without a choice.
-        compile_seconds: time spent compiling and warming up.
-    """
-
-    planning_seconds: float = field(compare=False)
-    decision_seconds: float = field(compare=False)
-    compile_seconds: float = field(compare=False)
-
-    shape: ClassVar[tuple[int]] = (3,)
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        """Return the three times as an array, as recorders such as Minari's store them
-        [s].
-        """
-        return np.array(
-            [self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype
-        )
-
-
 class Cone(Obstacle):
     """A traffic cone."""
 
@@ -107,11 +78,13 @@ class GameEnv(ConfiguredEnv):
         self._terms = dict.fromkeys(self.game.robot.names, 0.0)
 
     @property
+    @not_simulated
     def car_states(self) -> State:
         """``(x, y, heading, speed)`` of all cars in SI units, the driven one first."""
         return states_of(self.road.vehicles)
 
     @property
+    @not_simulated
     def episode_steps(self) -> int:
         """Number of steps of an episode that nothing ends early."""
         return round(self.config["duration"] * self.config["policy_frequency"])
@@ -134,15 +107,19 @@ class GameEnv(ConfiguredEnv):
         )
         self.collision = bool(phi[robot.names.index("collision")])
 
+    @not_simulated
     def _reward(self, action: Any) -> float:
         return sum(self._terms.values())
 
+    @not_simulated
     def _rewards(self, action: Any) -> dict[str, float]:
         return dict(self._terms)
 
+    @not_simulated
     def _is_truncated(self) -> bool:
         return self.steps >= self.episode_steps
 
+    @not_simulated
     def _is_terminated(self) -> bool:
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
@@ -160,7 +137,7 @@ class GameEnv(ConfiguredEnv):
             given = np.asarray(
                 np.full(space.shape, missing) if given is None else given, space.dtype
             )[()]
-        return {
+        info: GameInfo = {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
             "collision": self.collision,
@@ -171,3 +148,4 @@ class GameEnv(ConfiguredEnv):
             "action": given,
             "rewards": self._rewards(action),
         }
+        return dict(info)

@@ -54,69 +54,183 @@ YIELDING = {
 }
 """The human drivers for each way to yield."""
 
-LADDER_REMEDY = "give a list of human models, cheapest first, or say 'best'"
-COSTS_REMEDY = (
-    "say 'published', 'shipped', 'measured', or give seconds by model, such as"
-    " {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
-)
-REWARD_REMEDY = (
-    "say 'learned', 'published', 'us101', or give finite weights by name, such as"
-    " {'speed': 2, 'lane_alignment': 75}; weights that were learned are in"
-    " ms_highway.data.learned_reward.load(path).weights"
-)
-LIMIT_REMEDY = (
-    "give None for the usual limits, 'unlimited', or two positive bounds, (omega,"
-    " acceleration)"
-)
-GRIP_REMEDY = (
-    "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no limit"
-)
 WHOLE_NUMBER = "it must be a whole number from 1 to"
 MAX_HORIZON = 100  # steps
 
 
 class Settings(Struct, frozen=True):
     """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not
-    have; see there.
+    have.
+
+    The text behind each key is its row in ``notebooks/REFERENCE.md``. A default that is
+    not named there is the scenario's.
     """
 
     controller: Any
+    """What chooses a model for every human in every step.
+
+    ``{"type": "learned", "lambda": 1.0}`` (default) chooses by a learned value of
+    computation, from naive, turn and tom; its ``"values"`` are ``"shipped"`` or a file
+    of ``ms-highway values learn``. ``{"type": "switching", "lambda": 0.1, "cooldown":
+    3, "trust_radius": 1.5}`` chooses by the paper's Algorithm 1
+    (`ms_highway.choice.quadratic.Quadratic`). ``{"type": "budget", "milliseconds":
+    20}`` chooses what gains most within this time. ``{"type": "nearest", "count": 2}``
+    predicts the nearest humans by the top of the ladder. ``{"type": "fixed", "model":
+    "tom"}`` always takes the same model. ``{"type": "schedule", "models": ["tom",
+    "tom", "naive"]}`` takes a model per step and keeps the last one. ``{"type":
+    "random", "shares": {"naive": 0.7, "tom": 0.3}}`` draws them when the episode
+    starts.
+
+    A short name stands for each, such as ``"tom"`` or ``"learned:1"``, see
+    `ms_highway.envs.registry.controller_config`. With ``"belief": True``, any of them
+    infers from each human's behaviour which model predicts that human
+    (`ms_highway.choice.belief`), and counts on no response that the human does not
+    show.
+    """
+
     ladder: Annotated[
-        Literal["best"] | tuple[str, ...], Meta(description=LADDER_REMEDY)
+        Literal["best"] | tuple[str, ...],
+        Meta(
+            description=("give a list of human models, cheapest first, or say 'best'")
+        ),
     ]
+    """Names of human models, cheapest first, or ``"best"``
+    (`ms_highway.planning.ladders`).
+    """
+
     costs: Annotated[
         Literal["published", "shipped", "measured"] | dict[str, NotNegative],
-        Meta(description=COSTS_REMEDY),
+        Meta(
+            description=(
+                "say 'published', 'shipped', 'measured', or give seconds by model, such"
+                " as {'naive': 0.09, 'turn': 0.17, 'tom': 0.37}"
+            )
+        ),
     ]
+    """T(M), the seconds that count for a plan under model M: ``"published"``, the
+    paper's (default with one human); ``"shipped"``, measured on one core (default with
+    several humans, and in physical scenarios); ``"measured"``, on this machine in the
+    first step; or seconds by model, of which ``tom@8`` takes its share.
+
+    Among several humans, T(M) is of a plan that predicts one human by M and the others
+    by the first rung, and T is additive. With ``"shipped"``, budgets choose by measured
+    times, so that episodes of one seed may differ.
+    """
+
     semantics: Semantics
+    """``"paper"``, the paper's dynamics; ``"physical"``, the same within what tyres
+    hold, where a collision is an overlap of bodies (`ms_highway.game.contact`) instead
+    of the paper's indicator; or ``"released"``, the paper's released code; see
+    `ms_highway.game.scenario.build_game`.
+    """
+
     human_reward: Annotated[
-        NamedReward | dict[str, Number] | None, Meta(description=REWARD_REMEDY)
+        NamedReward | dict[str, Number] | None,
+        Meta(
+            description=(
+                "say 'learned', 'published', 'us101', or give finite weights by name,"
+                " such as {'speed': 2, 'lane_alignment': 75}; weights that were learned"
+                " are in ms_highway.data.learned_reward.load(path).weights"
+            )
+        ),
     ]
+    """What humans drive for, in the world and in the robot's models of them:
+    ``"learned"`` from demonstrations; ``"published"``; ``"us101"``, learned from
+    drivers on that highway; weights by name, of
+    `ms_highway.game.reward.weight_names`; or None for the reward of the semantics:
+    published in released semantics, or else learned.
+
+    Aims of the scenario, such as a human's target lane, stay unless weights name them.
+    A learned reward has no weight of ``collision``, and that of the highway none of
+    leaving the road.
+    """
+
     humans: Annotated[int, Meta(description="it must be a whole number")]
+    """Number of humans, from 2 to 20 in scenarios with streams."""
+
     yielding: Literal["usual", "never", "always", "mixed"]
+    """What humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``,
+    keep their velocity and never yield; ``"always"``, make room for the robot
+    (`ms_highway.loop.controller`); or ``"mixed"``, one of the last two, drawn for each
+    human when the episode starts.
+    """
+
     human_driver: str | None
+    """What drives the humans instead of plans for their reward: a name of
+    `ms_highway.add_driver`, or ``"keyboard"``: the arrow keys drive the first human, in
+    a window (``render_mode="human"``).
+    """
+
+    way_out: bool
+    """Whether the robot keeps a way out from humans who do not yield, see
+    `ms_highway.planning.way_out`.
+    """
+
     control_limit: Annotated[
         Literal["unlimited"] | tuple[Positive, Positive] | None,
-        Meta(description=LIMIT_REMEDY),
+        Meta(
+            description=(
+                "give None for the usual limits, 'unlimited', or two positive bounds,"
+                " (omega, acceleration)"
+            )
+        ),
     ]
-    grip: Annotated[Positive | None, Meta(description=GRIP_REMEDY)]
-    way_out: bool
+    """Bounds on curvature [1/m] and acceleration [m/s^2] of plans; ``"unlimited"``; or
+    None for the scenario's bounds, in released semantics for no bounds.
+    """
+
+    grip: Annotated[
+        Positive | None,
+        Meta(
+            description=(
+                "give what tyres hold in m/s^2, such as 8 on a dry road, or None for no"
+                " limit"
+            )
+        ),
+    ]
+    """Total acceleration that tyres hold, across and along [m/s^2], such as
+    `ms_highway.game.scenario.GRIP`.
+
+    It limits plans and executed controls, without reversing. None sets no limit, as in
+    the paper, but stands for ``GRIP`` in physical semantics. It does not apply where
+    the agent drives.
+    """
+
     solver: SolverName
+    """How plans are improved: ``"gradient"``, the paper's steps; or
+    ``"convex_newton"``, for horizons of seconds, on a smooth reward with room to stop
+    (`ms_highway.game.payoff.stopping_cost`) and, in physical semantics, with room
+    between bodies.
+    """
+
     horizon: Annotated[
         int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")
     ]
+    """Number of planned controls, of robot and humans."""
+
     time_step: Annotated[
         float, Meta(ge=0.01, le=1.0, description="it must be from 0.01 to 1 s")
     ]
+    """Duration of a step of plans and of the environment [s]."""
+
     iterations: Annotated[
         Annotated[int, Meta(ge=1, le=MAX_ITERATIONS)] | None,
         Meta(description=f"{WHOLE_NUMBER} {MAX_ITERATIONS}, or None"),
     ]
+    """Number of gradient steps of a plan; None for what suits the horizon."""
+
     step_size: Annotated[
         Positive | None, Meta(description="it must be a positive number, or None")
     ]
+    """Length of a gradient step per unit of gradient; None for what suits the horizon; a
+    longer one gives a warning. See `ms_highway.numerics.solvers.PlanningSettings`.
+    """
+
     duration: Positive
+    """Length of an episode [s]."""
+
     terminate_on_collision: bool
+    """Whether a collision ends the episode."""
 
     def __post_init__(self) -> None:
         if not isinstance(

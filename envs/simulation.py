@@ -42,22 +42,19 @@ from ms_highway.runtime.compilation import usual_chunk
 from ms_highway.runtime.jax_settings import single_precision
 from ms_highway.runtime.process import refuse_after_fork
 
-STEP = (
-    *(
-        "_reset",
-        "_drive",
-        "_drive_robot",
-        "step",
-        "_simulate",
-        "_reward",
-        "_rewards",
-        "_is_terminated",
-    ),
-    *("_is_truncated", "episode_steps", "car_states", "success", "measure"),
-)
-"""Methods and properties of an environment that a simulation does not call, so that no
-subclass may change them.
-"""
+
+def overridden(kind: type[InteractionEnv]) -> list[str]:
+    """Return the names of what a class overrides although a simulation does not call
+    it, see `ms_highway.envs.configured.not_simulated`.
+    """
+    names: list[str] = []
+    for name in dir(InteractionEnv):
+        usual = getattr(InteractionEnv, name)
+        method = usual.fget if isinstance(usual, property) else usual
+        marked = getattr(method, "not_simulated", False)
+        if marked and getattr(kind, name) is not usual:
+            names.append(name)
+    return names
 
 
 def shared_loop(
@@ -76,11 +73,8 @@ def shared_loop(
     """
     kind = type(environment)
     settings = environment.settings
-    if own := [
-        name
-        for name in STEP
-        if getattr(kind, name) is not getattr(InteractionEnv, name)
-    ]:
+    own = overridden(kind)
+    if own:
         reason = (
             f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not"
             " call"

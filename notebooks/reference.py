@@ -4,91 +4,72 @@ and tells, from its classes.
 python notebooks/reference.py
 """
 
+import ast
 import inspect
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import gymnasium as gym
 from highway_env.envs.common.abstract import AbstractEnv
 
-import ms_highway
 from ms_highway.envs import ENVIRONMENTS, environment_id
+from ms_highway.envs.info import GameInfo, InteractionInfo, PlanInfo
+from ms_highway.envs.settings import Settings
+from ms_highway.game import scenarios
+from ms_highway.game.scenario import Scenario
+
+
+def plain(text: str) -> str:
+    """Return a text of the source as a cell of a table."""
+    return re.sub(r"\s+", " ", text).strip().replace("``", "`").replace("|", "/")
+
+
+def texts_behind(source: str) -> dict[str, str]:
+    """Return the texts behind the assignments of a module or a class, by name."""
+    tree = ast.parse(source)
+    body = tree.body
+    if isinstance(body[0], ast.ClassDef):
+        body = body[0].body
+    texts = {}
+    for statement, behind in pairwise(body):
+        names = [statement.target] if isinstance(statement, ast.AnnAssign) else []
+        if isinstance(statement, ast.Assign):
+            names = statement.targets
+        match behind:
+            case ast.Expr(value=ast.Constant(value=str(text))):
+                texts |= {name.id: plain(text) for name in names}
+    return texts
+
+
+def first_sentence(text: str) -> str:
+    """Return the first sentence of a text, without its full stop."""
+    return re.split(r"(?<=[a-z`)\]])\. ", text)[0].rstrip(".")
+
 
 INFO = {
-    "speed": "of the robot [m/s]",
-    "crashed": "whether the robot's body overlaps another one after this step",
-    "collision": "whether it collides by the reward's measure, see [Reward](#reward)",
-    "collision_effect": "what a collision does: it only costs reward",
-    "control": (
-        "what the robot did: `acceleration` before friction [m/s²], `steering` of the"
-        " front wheels [rad]"
-    ),
-    "action": "that was given; NaN or -1 before the first step",
-    "rewards": (
-        "terms of the reward by feature; `computation` is -lambda T where the agent"
-        " chooses models"
-    ),
-    "model": (
-        "the model that predicts the human in the plan that drives; of several humans,"
-        " their most expensive one"
-    ),
-    "models": "name of every human's model in it",
-    "status": (
-        "what drives: the step's plan (`planned`); the `previous plan`, where that"
-        " failed; `braking`, where both did; the previous plan again, as the new one"
-        " came `late`; or a `way out` from humans who do not yield"
-    ),
-    "choice_failed": "whether a gain that the rule asked for could not be computed",
-    "plan_steps": (
-        "number of steps of the ascent that led to this step's plan; 0 if nothing was"
-        " planned"
-    ),
-    "converged": "whether the last of these steps hardly moved the plan",
-    "timing": (
-        "`planning_seconds`, `decision_seconds`, `compile_seconds` of the step [s]"
-    ),
-    "clocked": (
-        "whether measured times had a say in the choice, so that the same seed may be"
-        " another episode"
-    ),
-    "gains": (
-        "gain per step that the controller expects of each model over the first of the"
-        " ladder, before the price of its time [reward]; the highest over the humans"
-        " for whom it is estimated; of every model of the ladder, -inf where none was"
-        " estimated; empty where no rule chooses"
-    ),
-    "counted_seconds": "T of the step's plan [s]",
-    "human_status": "a status for each human; None for cars that do not plan",
-    "distance_to_cones": (
-        "from the robot's front to the first cone ahead in its lane, infinite without"
-        " one [m]"
-    ),
-    "success": (
-        "among several humans: whether the robot is in the target lane and has not"
-        " collided so far"
-    ),
-    "is_success": "the same, as stable-baselines3 calls it",
-    "humans_idm": (
-        "among several humans: number predicted by this model; likewise `humans_turn`"
-        " and `humans_tom`"
-    ),
-    "belief": (
-        "with a controller's `belief`: probability of naive, idm, turn and tom for"
-        " every human, [humans, 4]"
-    ),
+    key: text
+    for record in (GameInfo, PlanInfo, InteractionInfo)
+    for key, text in texts_behind(inspect.getsource(record)).items()
 }
-"""What is in `info`, and its unit."""
+"""What each key of `info` says, from its record."""
+
+CONFIGURATION = {"action": "Who drives, see [Actions](#actions)."}
+CONFIGURATION |= texts_behind(inspect.getsource(Settings))
+"""What each key of the configuration says, from its settings."""
 
 OF_HIGHWAY_ENV = [key for key in AbstractEnv.default_config() if key != "action"]
 
 PAGE = """# Environments
 
-Written by `python notebooks/reference.py` from the classes; `help(ms_highway.InteractionEnv)` says more. All lengths are in
-metres, times in seconds, angles in radians; x is along the road, y to the right. [Words](MAP.md#words) are in the guide.
+Written by `python notebooks/reference.py` from the classes. All lengths are in metres, times in seconds, angles in radians; x
+is along the road, y to the right. [Words](MAP.md#words) are in the guide.
 
 ```python
-env = gym.make("ms-highway/merger-v1", config={{...}})  # one environment
-envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})  # many, in JAX; no films
+# one environment
+env = gym.make("ms-highway/merger-v1", config={{...}})
+# many, in JAX; no films
+envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})
 ```
 
 ## Actions
@@ -97,8 +78,11 @@ envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})  # ma
 | --- | --- | --- |
 | `Autopilot` (default) | Discrete(1) | lets `config["controller"]` drive |
 | `HumanModelAction` | Discrete(models), or MultiDiscrete of every human | chooses models by their place in `config["ladder"]`; pays `lambda` T(M) for the time of a plan. The price must be given: `{{"type": "HumanModelAction", "lambda": 1.0}}` |
-| `ContinuousAction` | Box(-1, 1, 2) | accelerates by +-5 m/s², steers front wheels by +-0.1 rad; other ranges by `acceleration_range`, `steering_range` |
+| `ContinuousAction` | Box(-1, 1, 2) | accelerates by +-5 m/s², steers front wheels by +-0.1 rad, at speeds from 0 to 40 m/s; other ranges by `acceleration_range`, `steering_range`, `speed_range` |
 | `DiscreteAction` | Discrete | the same, in `actions_per_axis` steps |
+
+The executed `info["control"]` may exceed the default ranges of actions. Divided by the ends of wider ranges, such as
+`ms_highway.envs.demonstration.ACTION`, it is the `ContinuousAction` that does the same within `speed_range`.
 
 ## Observations
 
@@ -112,10 +96,15 @@ envs = gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={{...}})  # ma
 
 An episode ends after its steps (truncated), or with `terminate_on_collision` at a collision (terminated).
 
+Every human plans for its own reward and believes that all other cars, the robot included, keep their velocity. Among several
+humans, rewards are drawn for every episode, so that some yield more readily than others. There, the robot succeeds if it ends in
+the target lane and never collides.
+
 ## Reward
 
 The robot's own, the sum of weighted features after the step; less `lambda` T(M) under `HumanModelAction`. `info["rewards"]`
-has its terms; `ms_highway.game.features.features` defines them, `ms_highway.game.scenarios` has their weights.
+has its terms; `ms_highway.game.features.features` defines them, `ms_highway.game.scenarios` has their weights. A collision only
+costs reward, as in the paper: cars neither push each other nor stop.
 
 In version 1, a collision is an overlap of bodies: cars are rectangles of 5 by 2.5 m, cones are circles 1.87 m across, and
 `collision` and `crashed` are the same. In version 0 it is the paper's indicator, which tests nine points of the robot against
@@ -146,7 +135,7 @@ env = ms_highway.FunctionalEnv("merger-v1", {{"action": {{"type": "ContinuousAct
 def rollout(key):
     def step(state, key):
         action = jax.random.uniform(key, env.action_space.shape, minval=-1, maxval=1)
-        state, observation, reward, terminated, truncated, info = env.step(state, action)
+        state, _, reward, *_ = env.step(state, action)
         return state, reward
 
     start, actions = jax.random.split(key)
@@ -172,35 +161,18 @@ many steps, and the reward of a step by up to 0.13. So compare means over many e
 
 ## Configuration
 
-Unknown keys are refused; nested ones merge. highway-env's own keys for pictures apply, too.
+Unknown keys are refused; nested ones merge. highway-env's own keys for pictures apply, too. A default that is not named is the
+scenario's. Changes act from the next reset on, and `config` describes the current episode until then. Before the first reset and
+after the end of an episode, `configure` changes `config` and spaces at once.
 
 {}
+
+## `reset`
+
+`options={{"config": ...}}` changes the configuration. `options={{"initial_states": ...}}` gives the starts instead of drawn ones: an
+array [cars, 4] of x, y, heading and speed in SI units, of the robot, the humans and the scripted cars in this order. Whole turns
+of a heading are left out.
 """
-
-
-def first_sentence(text: str) -> str:
-    """Return the first sentence of a text."""
-    return re.split(r"(?<=[a-z`)\]])\. ", re.sub(r"\s+", " ", text).replace("``", "`"))[
-        0
-    ].rstrip(".;")
-
-
-def meanings() -> dict[str, str]:
-    """Return what the documentation of `InteractionEnv` says of each configuration key,
-    in short.
-    """
-    items = re.split(
-        r"\n\* ",
-        inspect.getdoc(ms_highway.InteractionEnv).partition("\n\n``reset`` takes")[0],
-    )[1:]
-    found = {}
-    for item in items:
-        names, _, text = item.partition(": ")
-        found |= dict.fromkeys(re.findall(r"``(\w+)``", names), first_sentence(text))
-    found["duration"], _, found["terminate_on_collision"] = found["duration"].partition(
-        "; `terminate_on_collision`: "
-    )
-    return found
 
 
 def observation_rows() -> list[str]:
@@ -217,44 +189,51 @@ def observation_rows() -> list[str]:
     return rows
 
 
+def scenes() -> dict[str, str]:
+    """Return the first sentence about each of the package's scenarios, by name."""
+    texts = texts_behind(inspect.getsource(scenarios))
+    return {
+        scenario.name: first_sentence(texts[variable])
+        for variable, scenario in vars(scenarios).items()
+        if isinstance(scenario, Scenario)
+    }
+
+
 def environment_rows() -> list[str]:
     rows = [
         "| id | scene | observes | steps | models to choose from | costs |",
         "| --- | --- | --- | --- | --- | --- |",
     ]
+    about = scenes()
     for name, kind in ENVIRONMENTS.items():
         config = kind.default_config()
-        steps = round(config["duration"] / config["time_step"])
         shape = gym.make(environment_id(name)).observation_space.shape
-        observed = f"{config['observation']['type']} {list(shape)}"
-        about = re.sub(r"\s+", " ", inspect.getdoc(kind)).split(". ")[0].rstrip(".")
         cells = (
             f"`{environment_id(name).partition(':')[2]}`",
-            about,
-            observed,
-            steps,
+            about[name],
+            f"{config['observation']['type']} {list(shape)}",
+            str(round(config["duration"] / config["time_step"])),
             ", ".join(config["ladder"]),
+            config["costs"],
         )
-        rows.append(f"| {' | '.join(map(str, cells))} | {config['costs']} |")
+        rows.append(f"| {' | '.join(cells)} |")
     return rows
 
 
 def configuration_keys() -> list[str]:
-    """Return the keys that the documentation explains, in the order of the
-    configuration.
-    """
-    told = meanings()
-    return [key for key in ENVIRONMENTS["merger-v1"].default_config() if key in told]
+    """Return the keys that are explained, in the order of the configuration."""
+    config = ENVIRONMENTS["merger-v1"].default_config()
+    return [key for key in config if key in CONFIGURATION]
 
 
 def configuration_rows() -> list[str]:
-    told = meanings()
-    base = ENVIRONMENTS["merger-v1"].default_config()
-    rows = ["| key | default of Merger v1 | what it says |", "| --- | --- | --- |"]
-    return rows + [
-        f"| `{key}` | `{base[key]!r}` | {told[key].replace('|', '/')} |"
+    config = ENVIRONMENTS["merger-v1"].default_config()
+    rows = ["| key | default of Merger v1 | meaning |", "| --- | --- | --- |"]
+    rows += [
+        f"| `{key}` | `{config[key]!r}` | {CONFIGURATION[key]} |"
         for key in configuration_keys()
     ]
+    return rows
 
 
 def page() -> str:

@@ -34,7 +34,7 @@ DEFAULT_CONTROLLER = "learned:1"
 
 SET_NOTES = """\
 --set changes a key of the environments' configuration, and may be repeated.
-help(ms_highway.InteractionEnv) lists all keys; the most useful ones are:
+notebooks/REFERENCE.md explains all keys; the most useful ones are:
 
   semantics=released      paper, the paper's dynamics and a damped theory of mind
                           (default); physical, the same within what tyres hold (default

@@ -11,7 +11,7 @@ import ms_highway
 from ms_highway.data.learned_reward import shipped
 from ms_highway.envs import PAPER_SCENARIOS, SCENARIOS
 from ms_highway.envs.demonstration import ACTION
-from ms_highway.envs.game_env import Timing
+from ms_highway.envs.info import Timing
 from ms_highway.game.reward import COMFORT
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.planning.human_models import PredictedHuman
