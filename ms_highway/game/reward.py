@@ -1,10 +1,8 @@
-"""Define rewards that are linear in features, by weights of the package's features and
-of user-defined ones.
-"""
+"""Define rewards that are linear in features, the package's and user-defined ones."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import jax
 import numpy as np
@@ -33,31 +31,26 @@ PAPER_FEATURES = (
 TRAFFIC_FEATURES = ("direction", "headway", "closing_speed", "induced_braking")
 
 FEATURES = (*PAPER_FEATURES, *TRAFFIC_FEATURES)
-"""Names of the package's features: the paper's, and those of real traffic, with weight
-0 in the paper.
+"""Names of the package's features: the paper's, then those of real traffic.
+
+Features of real traffic have weight 0 in the paper.
 """
 
 COMFORT = ("comfort_steering", "comfort_acceleration")
-"""Names of the weights of comfort, a cost of controls instead of states, see `Reward`.
-"""
+"""Names of the weights of comfort, which cost controls, not states, see `Reward`."""
 
 Feature: TypeAlias = Callable[[Scene, Motion, Motion], Scalar]
-"""A user-defined feature at one moment: a number computed from the scene, the motion of
-car 0 and the motion of all others, arrays [others], its partner first.
+"""A user-defined feature at one moment.
+
+It is a number computed from the scene, the motion of car 0 and the motion of all
+others, arrays [others], its partner first.
 """
 
 OWN_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
 
-MAX_WEIGHT = 1e30  # which single precision holds
-
-TIME_HEADWAY = 1.0
-"""Time gap between bumpers that the headway feature wants by default, besides 2 m [s].
-"""
-
-COMPUTATION = (  # the price of planning among the reward terms of environments
-    "computation"
-)
+COMPUTATION = "computation"
+"""Name of the price of planning among the reward terms of environments."""
 
 
 @jax.tree_util.register_dataclass
@@ -75,7 +68,8 @@ class Reward:
             user-defined ones (static).
         own: functions of the user-defined features, in the order of the last names
             (static).
-        headway: time gap that the headway feature wants [s].
+        headway: time gap between bumpers that the headway feature wants, besides 2 m
+            [s].
     """
 
     weights: Weights
@@ -84,21 +78,21 @@ class Reward:
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
     own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
-    headway: Scalar = TIME_HEADWAY
+    headway: Scalar = 1.0
 
     def price(self, name: str) -> Scalar:
-        """Return what a unit of a feature costs by its weight; 0 where it is rewarded."""
+        """Return what a unit of a feature costs by its weight; 0 if it is rewarded."""
         return jnp.maximum(-jnp.asarray(self.weights)[self.names.index(name)], 0.0)
 
 
 def add_feature(name: str, function: Feature) -> None:
-    """Register a user-defined feature by name, for rewards, configurations and commands
-    of this process.
+    """Register a user-defined feature by name.
 
-    The feature is computed where a reward weighs it; Algorithm 1 then neglects nothing
-    in its derivatives, see `ms_highway.choice.rule.decide`. Learned weights are
-    positive: define the feature as what drivers want more of. A feature of the same
-    name is replaced in all rewards that are made later.
+    Rewards, configurations and commands of this process may then weigh it. The feature
+    is computed where a reward weighs it; Algorithm 1 then neglects nothing in its
+    derivatives, see `ms_highway.choice.rule.decide`. Learned weights are positive:
+    define the feature as what drivers want more of. A feature of the same name is
+    replaced in all rewards that are made later.
 
     Args:
         name: one word.
@@ -121,11 +115,35 @@ def add_feature(name: str, function: Feature) -> None:
             f"a feature cannot be called {name!r}; choose one word other than"
             f" {', '.join(taken)}"
         )
-    own, others = (Motion(*np.zeros((5, *shape), np.float32)) for shape in ((), (3,)))
+    result = _traced_result(name, function)
+    found = type(result).__name__
+    is_number = False
+    if isinstance(result, jax.ShapeDtypeStruct):
+        found = f"{result.dtype} of shape {result.shape}"
+        is_number = not result.shape and not jnp.iscomplexobj(result)
+    if not is_number:
+        raise ValueError(
+            f"the feature {name!r} returns {found} for one moment; it must return one"
+            " number"
+        )
+    OWN_FEATURES[name] = function
+    note_definition(name, function)
+
+
+def _traced_result(name: str, function: Feature) -> object:
+    """Return the shape and type of what a feature returns for one moment.
+
+    The scene is straight, without a leader, and there are three others.
+
+    Raises:
+        ValueError: if the function is not hashable or cannot be computed.
+    """
+    own = Motion(*np.zeros(5, np.float32))
+    others = Motion(*np.zeros((5, 3), np.float32))
     scene = Scene(np.zeros(3), 0.0, obstacles=np.zeros((2, 2)))
     try:
         hash(function)
-        value = jax.eval_shape(function, scene, own, others)
+        return jax.eval_shape(function, scene, own, others)
     except Exception as error:  # a user's function may fail in any way
         message = str(error).partition("\n")[0]
         raise ValueError(
@@ -133,25 +151,10 @@ def add_feature(name: str, function: Feature) -> None:
             f" {message}; give a function of (scene, own, others), written with"
             " jax.numpy"
         ) from error
-    number = isinstance(value, jax.ShapeDtypeStruct)
-    if not number or value.shape or jnp.iscomplexobj(value):
-        message = (
-            f"{value.dtype} of shape {value.shape}"
-            if number
-            else f"{type(value).__name__}"
-        )
-        raise ValueError(
-            f"the feature {name!r} returns {message} for one moment; it must return one"
-            " number"
-        )
-    OWN_FEATURES[name] = function
-    note_definition(name, function)
 
 
 def weight_names() -> tuple[str, ...]:
-    """Return the names of all known weights: of the package's and user-defined
-    features, and of comfort.
-    """
+    """Return the names of all known weights: of all features, and of comfort."""
     return (*FEATURES, *OWN_FEATURES, *COMFORT)
 
 
@@ -173,24 +176,7 @@ def linear_reward(
         ValueError: for an unknown name, or a weight that is not finite or whose feature
             is not computed.
     """
-    known = weight_names()
-    unknown = sorted(map(str, {*values, *(names or ())} - set(known)))
-    if unknown:
-        raise ValueError(
-            f"unknown reward features {unknown}; the features are {', '.join(known)};"
-            " add one of your own with ms_highway.add_feature, or --import the module"
-            " that does"
-        )
-    for name, value in values.items():
-        if (
-            isinstance(value, (bool, str))
-            or not np.isscalar(value)
-            or not np.abs(value) <= MAX_WEIGHT
-        ):
-            raise ValueError(
-                f"the weight of {name} is {value!r}; it must be a finite number, at"
-                f" most {MAX_WEIGHT:g}"
-            )
+    _check_weights(values, names or ())
     names = names or features_for(values)
     if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
         raise ValueError(
@@ -207,12 +193,34 @@ def linear_reward(
             f"{', '.join(left_out)} would not be computed; add them to the names of the"
             " features"
         )
-    weights, comfort = (
-        np.array([values.get(name, 0.0) for name in group], np.float32)
-        for group in (names, COMFORT)
-    )
+    weights = np.array([values.get(name, 0.0) for name in names], np.float32)
+    comfort = np.array([values.get(name, 0.0) for name in COMFORT], np.float32)
     own = tuple(OWN_FEATURES[name] for name in names if name in OWN_FEATURES)
     return Reward(weights, speed_limit, gap, comfort, names, own)
+
+
+def _check_weights(values: Mapping[str, float], names: tuple[str, ...]) -> None:
+    """Check the weights of a reward, and the names of features to compute.
+
+    Raises:
+        ValueError: for an unknown name, or a weight that is not finite.
+    """
+    known = weight_names()
+    unknown = sorted(map(str, {*values, *names} - set(known)))
+    if unknown:
+        raise ValueError(
+            f"unknown reward features {unknown}; the features are {', '.join(known)};"
+            " add one of your own with ms_highway.add_feature, or --import the module"
+            " that does"
+        )
+    largest = 1e30  # which single precision holds
+    for name, value in values.items():
+        is_number = np.isscalar(value) and not isinstance(value, (bool, str))
+        if not is_number or not np.abs(value) <= largest:
+            raise ValueError(
+                f"the weight of {name} is {value!r}; it must be a finite number, at"
+                f" most {largest:g}"
+            )
 
 
 def features_for(
@@ -231,19 +239,6 @@ def features_for(
     return (*packaged, *(name for name in OWN_FEATURES if name in weighed))
 
 
-PENALTIES = ("collision_risk", "collision", "off_road")
-"""Features with negative weights; all other weights are positive."""
-
-NO_GRADIENT = ("collision", "merged", "partner_merged")
-"""Indicators. They have no gradient, so that driving carries no information about their
-weights.
-"""
-
-CURVATURE_FLOOR = (
-    0.5  # of the least given comfort weight: the least curvature of -R in a fit
-)
-
-
 @dataclass(frozen=True)
 class RewardModel:
     """A reward that is linear in its features: the weights to learn, and those given.
@@ -259,12 +254,20 @@ class RewardModel:
             comfort weight.
     """
 
+    penalties: ClassVar[tuple[str, ...]] = ("collision_risk", "collision", "off_road")
+    """Features with negative weights; all other weights are positive."""
+    indicators: ClassVar[tuple[str, ...]] = ("collision", "merged", "partner_merged")
+    """Features without a gradient: driving carries no information about their weights.
+    """
+    floor_share: ClassVar[float] = 0.5
+    """`floor` as a share of the least given comfort weight."""
+
     learned: tuple[str, ...]
     given: Mapping[str, float]
     tails: bool = False
 
     def __post_init__(self) -> None:
-        known = [name for name in weight_names() if name not in NO_GRADIENT]
+        known = [name for name in weight_names() if name not in self.indicators]
         for name in self.names:
             if name not in known:
                 raise ValueError(
@@ -288,17 +291,19 @@ class RewardModel:
     @property
     def floor(self) -> float:
         """The least curvature of -R in any direction that a fit assumes."""
-        return CURVATURE_FLOOR * min(
-            value for name, value in self.given.items() if name in COMFORT and value > 0
-        )
+        comforts = [self.given[name] for name in self.given if name in COMFORT]
+        return self.floor_share * min(weight for weight in comforts if weight > 0)
 
     def signs(self) -> Float[np.ndarray, "learned"]:
         """Return the signs of the learned weights, which are fixed."""
-        return np.array([-1.0 if name in PENALTIES else 1.0 for name in self.learned])
+        return np.array(
+            [-1.0 if name in self.penalties else 1.0 for name in self.learned]
+        )
 
     def weights(self, logarithms: Float[np.ndarray, "parameters"]) -> dict[str, float]:
-        """Return all weights by name, from the logarithms that a fit finds; those of
-        the learned ones come first.
+        """Return all weights by name, from the logarithms that a fit finds.
+
+        Those of the learned ones come first.
         """
         learned = (self.signs() * np.exp(logarithms[: len(self.learned)])).tolist()
         return {**dict(zip(self.learned, learned, strict=True)), **self.given}

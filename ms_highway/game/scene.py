@@ -1,9 +1,7 @@
-"""Define the scene: lanes, obstacles, sizes of cars, and the leader; find the cars
-ahead and behind in three lanes.
-"""
+"""Define the scene: lanes, obstacles and bodies; find the neighbours of a driver."""
 
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import ClassVar, Literal, NamedTuple, TypeAlias, get_args
 
 import jax
 import numpy as np
@@ -14,27 +12,22 @@ from ms_highway.runtime.arrays import Array, SameArray, Scalar
 
 Contact: TypeAlias = Literal["paper", "bodies"]
 
-PAPER_UNIT = 100 / 3  # m
-CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)  # m: 5 by 2.5
-CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)  # m
+PAPER_UNIT = 100 / 3
+"""The paper's unit of length [m]."""
 
-LANE_TOLERANCE = (
-    0.8  # m, from the centre of the target lane, within which a car has reached it
-)
+CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)
+"""Length and width of the paper's cars [m]: 5 by 2.5."""
 
-SHAPES: dict[str, tuple[str | int, ...]] = {
-    "lanes": ("n",),
-    "obstacles": ("n", 2),
-    "obstacle_size": (2,),
-    "car_size": (2,),
-}
+CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)
+"""Length and width of the paper's cones [m]: 2.3 by 1.9."""
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Scene:
-    """A straight road along x with obstacles on it. All lengths are in metres, y points
-    to the right.
+    """A straight road along x with obstacles on it.
+
+    All lengths are in metres, y points to the right.
 
     Attributes:
         lanes: lateral position of each lane's centre, array [lanes].
@@ -66,6 +59,17 @@ class Scene:
             JAX are not checked.
     """
 
+    arrival_tolerance: ClassVar[float] = 0.8
+    """Distance from the centre of the target lane at which a car has reached it [m]."""
+
+    shapes: ClassVar[dict[str, tuple[str | int, ...]]] = {
+        "lanes": ("n",),
+        "obstacles": ("n", 2),
+        "obstacle_size": (2,),
+        "car_size": (2,),
+    }
+    """Shapes of the arrays; n may be any number."""
+
     lanes: Float[Array, "lanes"]
     lane_width: Scalar
     obstacles: Float[Array, "obstacles 2"] = field(
@@ -85,54 +89,54 @@ class Scene:
         """Whether a collision is an overlap of bodies, see ``contact``."""
         return self.contact == "bodies"
 
-    def is_reached(self, y: Any) -> Any:
-        """Return whether cars at these lateral positions have reached the target lane."""
-        return abs(y - float(self.target_lane)) < LANE_TOLERANCE
+    def is_reached(self, y: Float[Array, "*cars"]) -> Bool[Array, "*cars"]:
+        """Return whether cars at lateral positions have reached the target lane."""
+        return abs(y - float(self.target_lane)) < self.arrival_tolerance
 
     def __post_init__(self) -> None:
-        for name, shape in SHAPES.items():
-            value = getattr(self, name)
-            if isinstance(value, (list, tuple)):
-                value = np.asarray(value, dtype=float)
-                object.__setattr__(self, name, value)
-            if not isinstance(value, np.ndarray):
-                continue  # an array of JAX
-            if (
-                value.ndim < len(shape)
-                or shape[-1] not in ("n", value.shape[-1])
-                or np.isnan(value).any()
-            ):
-                wanted = ", ".join(map(str, shape))
-                raise ValueError(
-                    f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of"
-                    " numbers, in metres"
-                )
+        for name, shape in self.shapes.items():
+            self._check_array(name, shape)
         if self.contact not in get_args(Contact):
             known = ", ".join(get_args(Contact))
             raise ValueError(f"Scene.contact is {self.contact!r}; give one of {known}")
         size = self.car_size
-        width = self.lane_width
         if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
             raise ValueError(
                 f"Scene.car_size is {size.tolist()}; give length and width in metres,"
                 " both positive"
             )
-        if isinstance(width, (int, float, np.ndarray, np.number)) and not np.all(
-            np.asarray(width) >= 0
-        ):
+        width = self.lane_width
+        is_known = isinstance(width, (int, float, np.ndarray, np.number))
+        if is_known and not np.all(np.asarray(width) >= 0):
             raise ValueError(f"Scene.lane_width is {width}; it must not be negative")
+
+    def _check_array(self, name: str, shape: tuple[str | int, ...]) -> None:
+        """Make an attribute that is a list or a tuple an array, and check its shape.
+
+        Raises:
+            ValueError: for another shape, or NaN.
+        """
+        value = getattr(self, name)
+        if isinstance(value, (list, tuple)):
+            value = np.asarray(value, dtype=float)
+            object.__setattr__(self, name, value)
+        if not isinstance(value, np.ndarray):
+            return  # an array of JAX
+        fits = value.ndim >= len(shape) and shape[-1] in ("n", value.shape[-1])
+        if not fits or np.isnan(value).any():
+            wanted = ", ".join(map(str, shape))
+            raise ValueError(
+                f"Scene.{name} is {value.tolist()}; give an array [{wanted}] of"
+                " numbers, in metres"
+            )
 
 
 # Neighbours of a driver: the nearest cars ahead and behind, in its own lane and in the
 # adjacent ones
 
-MIN_FOLLOWER_SPEED = 1.0  # m/s, by which headways are divided at least
-FAR_AWAY = 1000.0  # m behind, where absent cars are
-
-SIDES = np.array(
-    [0, 0, -1, -1, 1, 1], dtype=np.float32
-)  # lanes to the right, of each place
-AHEAD = np.array([True, False] * 3)  # whether a place is ahead
+FAR_AWAY = 1000.0
+"""Distance behind a driver at which cars that are absent or do not matter are put [m].
+"""
 
 
 def places(
@@ -141,10 +145,11 @@ def places(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> tuple[Int[SameArray, "*batch 6"], Bool[SameArray, "*batch 6"]]:
-    """Return which of the others takes each of the six places around a driver, and
-    whether any car does.
+    """Return which of the others takes each place around a driver, and if any does.
 
-    A car is in the driver's lane if it is less than half a lane's width to the side.
+    The six places are ahead and behind in the driver's own lane, in the lane to the
+    left, and in that to the right. A car is in the driver's lane if it is less than
+    half a lane's width to the side.
 
     Args:
         driver: state of the driver.
@@ -154,10 +159,17 @@ def places(
         lane_width: of a lane [m].
     """
     xp = driver.__array_namespace__()
+    lanes_to_right = np.array([0, 0, -1, -1, 1, 1], dtype=np.float32)  # of each place
+    is_ahead = np.array([True, False, True, False, True, False])
+
+    # Which place each car is at [*batch, cars, 6].
     offset = others[..., :2] - driver[..., None, :2]
     lane = xp.round(offset[..., 1] / xp.asarray(lane_width)[..., None])
     ahead = offset[..., 0] > 0
-    fits = (lane[..., None] == SIDES) & (ahead[..., None] == AHEAD) & present[..., None]
+    in_lane = lane[..., None] == lanes_to_right
+    fits = in_lane & (ahead[..., None] == is_ahead) & present[..., None]
+
+    # The nearest car at each place [*batch, 6].
     distance = xp.where(fits, xp.abs(offset[..., :1]), xp.inf)
     return xp.argmin(distance, axis=-2), xp.any(fits, axis=-2)
 
@@ -168,8 +180,7 @@ def neighbours(
     present: Bool[SameArray, "*batch cars"],
     lane_width: float | Float[SameArray, "*batch"],
 ) -> Float[SameArray, "*batch 6 4"]:
-    """Return the states of a driver's neighbours in the six places, see `places` for
-    the arguments.
+    """Return the states of a driver's neighbours in the six `places`.
 
     An empty place holds a standing car far behind, so that the shape never changes.
     """
@@ -184,8 +195,9 @@ def headways(
     around: Float[SameArray, "*batch 6 4"],
     length: float,
 ) -> Float[SameArray, "*batch 6"]:
-    """Return the time gaps between a driver and its neighbours [s]: bumper distance
-    over the speed of the rear car.
+    """Return the time gaps between a driver and its neighbours [s].
+
+    They are distances between bumpers over the speed of the rear car.
 
     Args:
         driver: state of the driver.
@@ -194,10 +206,10 @@ def headways(
     """
     xp = driver.__array_namespace__()
     along = around[..., 0] - driver[..., :1]
-    follower = xp.where(along > 0, driver[..., 3:], around[..., 3])
-    return xp.maximum(xp.abs(along) - length, 0.0) / xp.maximum(
-        follower, MIN_FOLLOWER_SPEED
-    )
+    rear_speed = xp.where(along > 0, driver[..., 3:], around[..., 3])
+    gap = xp.maximum(xp.abs(along) - length, 0.0)
+    least_speed = 1.0  # m/s; headways of standing cars would be infinite
+    return gap / xp.maximum(rear_speed, least_speed)
 
 
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
@@ -216,20 +228,21 @@ class Leader(NamedTuple):
         there: whether there is one.
     """
 
-    gap: Float[Any, "*cars"]
-    speed: Float[Any, "*cars"]
-    there: Bool[Any, "*cars"]
+    gap: Float[Array, "*cars"]
+    speed: Float[Array, "*cars"]
+    there: Bool[Array, "*cars"]
 
 
 def leaders(
-    x: Float[Any, "*batch cars"],
-    lane: Float[Any, "*batch cars"],
-    others: Float[Any, "*batch others 4"],
-    counts: Bool[Any, "*#batch #cars others"],
-    reach: float | Float[Any, "*#batch #cars #others"],
-) -> tuple[Int[Any, "*batch cars"], Bool[Any, "*batch cars"]]:
-    """Return which of the others is the nearest one ahead in a lane, and whether there
-    is one; of NumPy or JAX.
+    x: Float[SameArray, "*batch cars"],
+    lane: Float[SameArray, "*batch cars"],
+    others: Float[SameArray, "*batch others 4"],
+    counts: Bool[Array, "*#batch #cars others"],
+    reach: float | Float[Array, "*#batch #cars #others"],
+) -> tuple[Int[SameArray, "*batch cars"], Bool[SameArray, "*batch cars"]]:
+    """Return which of the others is each car's leader in a lane, and whether any is.
+
+    The leader is the nearest one ahead.
 
     Args:
         x: position of each car along the road [m].
@@ -241,7 +254,6 @@ def leaders(
             [m].
     """
     xp = others.__array_namespace__()
-    distance = others[..., None, :, 0] - x[..., None]
-    return nearest_ahead(
-        distance, counts & (xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach)
-    )
+    distance = others[..., None, :, 0] - x[..., None]  # [*batch, cars, others]
+    in_lane = xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach
+    return nearest_ahead(distance, counts & in_lane)

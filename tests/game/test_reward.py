@@ -10,7 +10,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.features import features, reward
 from ms_highway.game.game import swap_players
-from ms_highway.game.reward import FEATURES, NO_GRADIENT, linear_reward
+from ms_highway.game.reward import FEATURES, RewardModel, linear_reward
 from ms_highway.game.scenarios import MERGER
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
@@ -63,7 +63,7 @@ def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(
             jax.jit(jax.vmap(slopes_and_differences, out_axes=1))(states)
         )
     for name, slopes, wanted in zip(FEATURES, *both, strict=True):
-        if name in NO_GRADIENT:
+        if name in RewardModel.indicators:
             assert not slopes.any(), name
         else:
             assert abs(wanted).max() > 0, name

@@ -10,7 +10,7 @@ from ms_highway.data.learned_reward import shipped
 from ms_highway.envs import ENVIRONMENTS, InteractionEnv, add_scenario
 from ms_highway.game.scenario import HUMANS, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
-from ms_highway.game.starts import CARELESS_FACTOR, draw_episode
+from ms_highway.game.starts import STREAM_VARIETY, draw_episode
 
 EPISODES = 60
 LEARNED = shipped("demonstrations").weights
@@ -53,7 +53,7 @@ def test_humans_in_streams_differ_only_in_how_readily_they_yield():
         np.delete(weights, risk, 1), np.delete(expected, risk, 1)
     )
     factors = weights[:, risk] / expected[:, risk]
-    careless = np.isclose(factors, CARELESS_FACTOR)
+    careless = np.isclose(factors, STREAM_VARIETY.careless_factor)
     assert careless.mean() == pytest.approx(DENSE_MERGE.careless, abs=0.05)
     assert np.log(factors[~careless]).mean() == pytest.approx(0.0, abs=0.1)
     assert np.log(factors[~careless]).std() == pytest.approx(0.7, abs=0.1)
