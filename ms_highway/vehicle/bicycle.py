@@ -5,7 +5,6 @@ along a route.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import atan, tan
-from typing import Any
 
 import numpy as np
 from highway_env.road.road import Road
@@ -91,7 +90,7 @@ class BicycleVehicle(Vehicle):
         """Acceleration that keeps the speed [m/s^2]."""
         return float(keep_velocity(self.dynamics, self.state)[1])
 
-    def act(self, action: dict[str, Any] | None = None) -> None:
+    def act(self, action: dict[str, float] | None = None) -> None:
         """Execute an action until the next one; without an action, keep the last
         control.
         """
@@ -158,7 +157,7 @@ class ScriptedVehicle(BicycleVehicle):
 
     COLOR: tuple[int, int, int] | None = (150, 150, 160)
 
-    def act(self, action: dict[str, Any] | None = None) -> None:
+    def act(self, action: dict[str, float] | None = None) -> None:
         """Balance friction; ignore actions."""
         self.execute(keep_velocity(self.dynamics, self.state))
 

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Route
@@ -24,9 +23,6 @@ from ms_highway.vehicle.right_of_way import (
 )
 from ms_highway.vehicle.ways import next_lane
 
-WHEN_TOLD = 6.0
-"""Deceleration where a road makes a commuter yield [m/s^2]."""
-
 
 class FollowingVehicle(IDMVehicle):
     """Follow like the drivers recorded on US-101, each car with traits of its own.
@@ -41,6 +37,9 @@ class FollowingVehicle(IDMVehicle):
     # Of braking; the learned reward accelerates by `CAR_LIMITS.acceleration` at most.
     ACC_MAX = CAR_LIMITS.braking
 
+    # Deceleration where a road makes the vehicle yield [m/s^2].
+    BRAKING_WHEN_TOLD = 6.0
+
     route: Route | None
     target_lane_index: LaneIndex
 
@@ -52,7 +51,7 @@ class FollowingVehicle(IDMVehicle):
         """
         return shipped_drivers().prior.draw(self.road.np_random, 1.0)
 
-    def act(self, action: Any = None) -> None:
+    def act(self, action: dict | str | None = None) -> None:
         """Decide what to do in the next step; never drive backwards."""
         super().act(action)
         slowest = -GIVING_WAY.holding * self.speed
@@ -62,7 +61,7 @@ class FollowingVehicle(IDMVehicle):
         self,
         ego_vehicle: Vehicle | None,
         front_vehicle: RoadObject | None = None,
-        rear_vehicle: Any = None,
+        rear_vehicle: RoadObject | None = None,
     ) -> float:
         """Return the acceleration of a vehicle behind another one [m/s^2].
 
@@ -77,9 +76,11 @@ class FollowingVehicle(IDMVehicle):
             return 0.0
         speed = ego_vehicle.speed
         limit = ego_vehicle.lane.speed_limit or LIMIT
-        wanted = min(getattr(ego_vehicle, "target_speed", limit), limit)
-        if wanted <= 0:  # the road makes the vehicle yield
-            return -WHEN_TOLD
+        target_speed = min(getattr(ego_vehicle, "target_speed", limit), limit)
+
+        # A road that makes the vehicle yield sets its target speed to 0.
+        if target_speed <= 0:
+            return -self.BRAKING_WHEN_TOLD
 
         # The leader, a gap between bumpers away.
         gap = np.inf
@@ -87,22 +88,25 @@ class FollowingVehicle(IDMVehicle):
         if front_vehicle:
             lengths = ego_vehicle.LENGTH + front_vehicle.LENGTH
             gap = ego_vehicle.lane_distance_to(front_vehicle) - lengths / 2
-            onward = float(front_vehicle.velocity @ ego_vehicle.direction)
-            leader_speed = max(onward, 0.0)
-        wish = self.preferred_acceleration(speed, wanted, gap, leader_speed)
+            along_lane = float(front_vehicle.velocity @ ego_vehicle.direction)
+            leader_speed = max(along_lane, 0.0)
+        preferred = self.preferred_acceleration(speed, target_speed, gap, leader_speed)
 
-        # Brake as hard as it takes not to touch the leader.
+        # Brake as hard as it takes not to touch the leader, which keeps its speed: the
+        # gap shrinks to the one in a queue while the speeds become equal.
         if gap < COMMUTER_IDM.standstill / 2:
             return -self.ACC_MAX
         room = max(gap - COMMUTER_IDM.standstill, 0.1)
         squares = max(speed**2 - leader_speed**2, 0.0)
         needed = squares / (2 * room)
-        return min(wish, -needed) if needed > COMMUTER_IDM.comfortable_braking else wish
+        if needed > COMMUTER_IDM.comfortable_braking:
+            return min(preferred, -needed)
+        return preferred
 
     def preferred_acceleration(
         self,
         speed: float,
-        wanted: float,
+        target_speed: float,
         gap: float,
         leader_speed: float,
     ) -> float:
@@ -110,12 +114,12 @@ class FollowingVehicle(IDMVehicle):
 
         Args:
             speed: of the follower [m/s].
-            wanted: the speed limit, or the follower's target speed if lower [m/s].
+            target_speed: of the follower, the speed limit at most [m/s].
             gap: to the leader, between bumpers [m]; infinite without one.
             leader_speed: [m/s].
         """
-        desired = self.traits.desired_speed * wanted
-        own = self.traits._replace(desired_speed=desired)
+        desired_speed = self.traits.desired_speed * target_speed
+        own = self.traits._replace(desired_speed=desired_speed)
         leader = Leader(min(gap, HELD_CONTROL.free_gap), leader_speed, np.isfinite(gap))
         return float(held_acceleration(shipped_drivers().weights, own, speed, leader))
 
@@ -125,13 +129,13 @@ class CommuterVehicle(FollowingVehicle):
 
     The traffic there hardly stops, so that at low speeds its reward makes cars crawl:
     commuters start off as the Intelligent Driver Model does, with
-    `ms_highway.game.car_following.COMMUTER_IDM`. They steer and change lanes like highway-env's
-    drivers (MOBIL). Where ways cross or meet, as in roundabouts, they give way as
-    `ms_highway.vehicle.right_of_way` says, and stop where a ``RegulatedRoad`` tells
-    them.
+    `ms_highway.game.car_following.COMMUTER_IDM`. They steer and change lanes like
+    highway-env's drivers (MOBIL). Where ways cross or meet, as in roundabouts, they
+    give way as `ms_highway.vehicle.right_of_way` says, and stop where a
+    ``RegulatedRoad`` tells them.
     """
 
-    def act(self, action: Any = None) -> None:
+    def act(self, action: dict | str | None = None) -> None:
         """Decide what to do in the next step; give way, and never drive backwards."""
         super().act(action)
         if self.crashed:
@@ -151,10 +155,12 @@ class CommuterVehicle(FollowingVehicle):
         until a change to it is safe.
         """
         start, end, number = self.target_lane_index
-        wanted = self.route[0] if self.route else None
-        if wanted is None or wanted[:2] != (start, end) or wanted[2] in (None, number):
+        if not self.route or self.route[0][:2] != (start, end):
             return np.inf
-        beside = (start, end, number + int(np.sign(wanted[2] - number)))
+        route_number = self.route[0][2]
+        if route_number in (None, number):
+            return np.inf
+        beside = (start, end, number + int(np.sign(route_number - number)))
         ahead, _ = self.road.neighbour_vehicles(self, beside)
         return max(self.acceleration(self, ahead), -COMMUTER_IDM.comfortable_braking)
 
@@ -187,7 +193,7 @@ class CommuterVehicle(FollowingVehicle):
         self,
         ego_vehicle: Vehicle | None,
         front_vehicle: RoadObject | None = None,
-        rear_vehicle: Any = None,
+        rear_vehicle: RoadObject | None = None,
     ) -> float:
         """Return the acceleration of a vehicle behind what is ahead of it [m/s^2].
 
@@ -204,7 +210,7 @@ class CommuterVehicle(FollowingVehicle):
     def preferred_acceleration(
         self,
         speed: float,
-        wanted: float,
+        target_speed: float,
         gap: float,
         leader_speed: float,
     ) -> float:
@@ -212,9 +218,10 @@ class CommuterVehicle(FollowingVehicle):
 
         See `ms_highway.vehicle.commuter.FollowingVehicle.preferred_acceleration`.
         """
-        learned = super().preferred_acceleration(speed, wanted, gap, leader_speed)
-        starting = replace(COMMUTER_IDM, headway=float(self.traits.headway))
-        return max(learned, starting.acceleration(speed, wanted, gap, leader_speed))
+        learned = super().preferred_acceleration(speed, target_speed, gap, leader_speed)
+        idm = replace(COMMUTER_IDM, headway=float(self.traits.headway))
+        starting = idm.acceleration(speed, target_speed, gap, leader_speed)
+        return max(learned, starting)
 
 
 def _is_ahead(vehicle: Vehicle, front: RoadObject) -> bool:

@@ -3,7 +3,7 @@ package's environments.
 """
 
 from collections.abc import Sequence
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 from highway_env.road.road import Road, Route
@@ -78,7 +78,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self.drive_with(None)
 
     @classmethod
-    def create_from(cls, vehicle: Vehicle, **options: Any) -> Self:
+    def create_from(cls, vehicle: Vehicle, **options: float) -> Self:
         """Make a car of this class from another vehicle, with the same route, but
         without its target speed.
         """
@@ -116,7 +116,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """Return the states of this car and of its companions."""
         return states_of([self, *self.companions])
 
-    def act(self, action: dict[str, Any] | str | None = None) -> None:
+    def act(self, action: dict[str, float] | str | None = None) -> None:
         """Plan and execute the plan's first control, or else execute the given action
         until vehicles act again.
 
@@ -163,7 +163,7 @@ class HumanVehicle(PlanningVehicle):
 
     COLOR = (60, 130, 220)
 
-    def act(self, action: dict[str, Any] | str | None = None) -> None:
+    def act(self, action: dict[str, float] | str | None = None) -> None:
         """Plan and execute the plan's first control, or else execute the given action
         until vehicles act again.
 

@@ -13,40 +13,37 @@ from scipy.spatial import cKDTree
 
 from ms_highway.geometry.road_map import Lane, kept
 from ms_highway.runtime.arrays import Numbers
-from ms_highway.vehicle.ways import REACH, SPACING, Line, Way, way_of
+from ms_highway.vehicle.ways import WAYS, Line, Way, way_of
 
 
 @dataclass(frozen=True)
 class GapAcceptance:
-    """What drivers keep to where ways meet.
-
-    Attributes:
-        clearance: distance of two ways below which vehicles on them would touch [m]: a
-            width, and room for steering.
-        stop: distance from a conflict at which drivers wait for it to be free [m].
-        time: between one vehicle leaving a conflict and the other one entering it [s].
-        headway: time by which a driver enters a lane ahead of a vehicle that has the
-            right of way [s].
-        starting: acceleration with which a driver expects to enter a gap [m/s^2].
-        comfortable: deceleration that a driver imposes on a vehicle with the right of
-            way at most [m/s^2].
-        calm: deceleration up to which drivers do not brake yet before a conflict
-            [m/s^2].
-        holding: a driver who waits brakes by this times its speed, so that it never
-            rolls back [1/s].
-        firm: deceleration above which a vehicle is expected not to stop any more
-            [m/s^2].
-    """
+    """Set what drivers keep to where ways meet."""
 
     clearance: float = 2.8
+    """Distance of two ways below which vehicles on them would touch [m]: a width, and
+    room for steering.
+    """
     stop: float = 1.0
+    """Distance from a conflict at which drivers wait for it to be free [m]."""
     time: float = 0.5
+    """Time between one vehicle leaving a conflict and the other one entering it [s]."""
     headway: float = 1.0
+    """Time by which a driver enters a lane ahead of a vehicle with the right of way
+    [s].
+    """
     starting: float = 2.0
+    """Acceleration with which a driver expects to enter a gap [m/s^2]."""
     comfortable: float = 3.0
+    """Deceleration that a driver imposes on a vehicle with the right of way at most
+    [m/s^2].
+    """
     calm: float = 2.0
+    """Deceleration up to which drivers do not brake yet before a conflict [m/s^2]."""
     holding: float = 5.0
+    """Deceleration of a driver who waits, per speed [1/s]; so it never rolls back."""
     firm: float = 4.0
+    """Deceleration above which a vehicle is expected not to stop any more [m/s^2]."""
 
 
 GIVING_WAY = GapAcceptance()
@@ -172,7 +169,7 @@ def conflicts(vehicle: Vehicle, target: LaneIndex | None = None) -> list[Conflic
     for order, other in enumerate(vehicles):
         if other is vehicle:
             continue
-        if np.hypot(*(other.position - vehicle.position)) > 2 * REACH:
+        if np.hypot(*(other.position - vehicle.position)) > 2 * WAYS.reach:
             continue
         conflict = _meeting(own, way_of(other), own_order, order)
         if conflict is not None:
@@ -188,10 +185,10 @@ def _meeting(own: Way, other: Way, own_order: int, order: int) -> Conflict | Non
 
     # Points where the ways are close, that neither has left and that are within reach.
     points, other_points = _close_points(own.line, other.line)
-    ahead = SPACING * points - own.place
-    other_ahead = SPACING * other_points - other.place
-    counts = (ahead >= -own.vehicle.LENGTH / 2) & (ahead < REACH)
-    counts &= (other_ahead >= -other.vehicle.LENGTH / 2) & (other_ahead < REACH)
+    ahead = WAYS.spacing * points - own.place
+    other_ahead = WAYS.spacing * other_points - other.place
+    counts = (ahead >= -own.vehicle.LENGTH / 2) & (ahead < WAYS.reach)
+    counts &= (other_ahead >= -other.vehicle.LENGTH / 2) & (other_ahead < WAYS.reach)
     if not counts.any():
         return None
     on_own = np.unique(points[counts])
@@ -247,10 +244,10 @@ def _approach(
     gaps = np.flatnonzero(np.diff(points) > 1)
     last = points[gaps[0]] if len(gaps) else points[-1]
     goes_on = shared and not len(gaps)
-    length = np.inf if goes_on else SPACING * (last - points[0])
+    length = np.inf if goes_on else WAYS.spacing * (last - points[0])
 
     front = way.place + way.vehicle.LENGTH / 2
-    distance = max(SPACING * points[0] - front, 0.0)
+    distance = max(WAYS.spacing * points[0] - front, 0.0)
     rank = (float(lane.shape.priority or 0), not way.enters_before(points[0]))
     return Approach(way.vehicle, float(distance), float(length), rank, order)
 

@@ -4,7 +4,6 @@ Ways are known, as drivers show them by indicators.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from highway_env.road.road import LaneIndex
@@ -13,17 +12,24 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.geometry.lane_paths import Points, Row
 from ms_highway.geometry.road_map import Lane, Lanes, RoadMap, kept, road_map
 
-SPACING = 1.5
-"""Distance between the points of a way [m]."""
 
-REACH = 60.0
-"""Distance ahead that ways show [m]: more than it takes to stop from 20 m/s."""
+@dataclass(frozen=True)
+class WaySettings:
+    """Set how far and how finely ways are known."""
 
-MERGING = 6.0
-"""Distance in which a vehicle covers all but a third of the way to another lane [m]."""
+    spacing: float = 1.5
+    """Distance between the points of a way [m]; less than a width of a car."""
+    reach: float = 60.0
+    """Distance ahead that ways show [m]: more than it takes to stop from 20 m/s."""
+    merging: float = 6.0
+    """Distance in which a vehicle covers all but a third (1 / e) of the way to another
+    lane [m].
+    """
+    lanes_crossed: float = 1.5
+    """Widths of a lane that drivers cross at most where their lane ends."""
 
-CROSSED = 1.5
-"""Widths of a lane that drivers cross at most where their lane ends."""
+
+WAYS = WaySettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,8 +39,8 @@ class Line:
     Attributes:
         lanes: in order.
         starts: distances at which they begin [m].
-        points: every `SPACING` metres [points, 2]; the line moves gradually from lane
-            to lane.
+        points: `WaySettings.spacing` apart [points, 2]; the line moves gradually from
+            lane to lane.
         entering: distances at which the line leaves its lane for another one, or comes
             from a smaller road [m].
     """
@@ -61,7 +67,7 @@ class Way:
 
     def lane_at(self, point: int) -> Lane:
         """Return the lane at a point of the line."""
-        after = np.searchsorted(self.line.starts, SPACING * point, side="right")
+        after = np.searchsorted(self.line.starts, WAYS.spacing * point, side="right")
         return self.line.lanes[max(int(after) - 1, 0)]
 
     def enters_before(self, point: int) -> bool:
@@ -71,20 +77,20 @@ class Way:
         """
         # A vehicle beside the middle of its lane is changing lanes now.
         lane = self.line.lanes[0].shape
-        _, aside = lane.local_coordinates(self.vehicle.position)
-        if abs(aside) > lane.width_at(0.0) / 4 and self.place < lane.length:
+        _, offset = lane.local_coordinates(self.vehicle.position)
+        if abs(offset) > lane.width_at(0.0) / 4 and self.place < lane.length:
             return True
 
         entering = self.line.entering
-        not_passed = entering > self.place - MERGING
-        not_later = entering <= SPACING * point + MERGING
+        not_passed = entering > self.place - WAYS.merging
+        not_later = entering <= WAYS.spacing * point + WAYS.merging
         return bool(np.any(not_passed & not_later))
 
     def ends_at(self, point: int) -> bool:
         """Return whether a point is the last one of the line, or of those in reach."""
-        length = SPACING * (len(self.line.points) - 1)
-        end = min(length, self.place + REACH)
-        return bool(SPACING * point > end - 2 * SPACING)
+        length = WAYS.spacing * (len(self.line.points) - 1)
+        end = min(length, self.place + WAYS.reach)
+        return bool(WAYS.spacing * point > end - 2 * WAYS.spacing)
 
 
 def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
@@ -109,11 +115,13 @@ def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
 
 
 @kept
-def _lanes_ahead(roads: RoadMap, first: LaneIndex, route: tuple[Any, ...]) -> Lanes:
+def _lanes_ahead(
+    roads: RoadMap, first: LaneIndex, route: tuple[LaneIndex, ...]
+) -> Lanes:
     """Return a lane and the next ones on a route over the reach beyond it."""
     lanes = [roads.lanes[first]]
     covered = 0.0
-    while covered < REACH:
+    while covered < WAYS.reach:
         following = next_lane(lanes[-1], route)
         if following is None:
             break
@@ -122,7 +130,7 @@ def _lanes_ahead(roads: RoadMap, first: LaneIndex, route: tuple[Any, ...]) -> La
     return tuple(lanes)
 
 
-def next_lane(lane: Lane, route: tuple[Any, ...]) -> Lane | None:
+def next_lane(lane: Lane, route: tuple[LaneIndex, ...]) -> Lane | None:
     """Return the next lane on a route, without one the nearest; None at a road's end.
 
     It is the lane that highway-env's vehicles choose (``RoadNetwork.next_lane``). Only
@@ -143,10 +151,10 @@ def next_lane(lane: Lane, route: tuple[Any, ...]) -> Lane | None:
     # The lane of the route, unless it is too far aside.
     for start, end, number in route:
         if start == lane.end:
-            wanted = continued(end, number)
-            _, aside = wanted.shape.local_coordinates(last)
-            if abs(aside) < CROSSED * lane.shape.width_at(lane.length):
-                return wanted
+            continuing = continued(end, number)
+            _, offset = continuing.shape.local_coordinates(last)
+            if abs(offset) < WAYS.lanes_crossed * lane.shape.width_at(lane.length):
+                return continuing
             break
 
     ends = lane.roads.graph.get(lane.end, {})
@@ -158,7 +166,7 @@ def _line(roads: RoadMap, lanes: Lanes) -> Line:
     """Return the line along lanes."""
     # Points on the middle of each lane.
     starts = np.cumsum([0.0, *(lane.length for lane in lanes[:-1])])
-    places = np.arange(0.0, starts[-1] + lanes[-1].length, SPACING)
+    places = np.arange(0.0, starts[-1] + lanes[-1].length, WAYS.spacing)
     numbers = np.searchsorted(starts, places, side="right") - 1
     points = np.zeros((len(places), 2))
     for point, number in enumerate(numbers):
@@ -171,7 +179,7 @@ def _line(roads: RoadMap, lanes: Lanes) -> Line:
         end = before.shape.position(before.length, 0.0)
         jump = after.shape.position(0.0, 0.0) - end
         later = places >= start
-        share_left = np.exp(-(places[later] - start) / MERGING)
+        share_left = np.exp(-(places[later] - start) / WAYS.merging)
         points[later] -= jump * share_left[:, None]
         changes_lane = np.hypot(*jump) > before.shape.width_at(0.0) / 2
         if changes_lane or len(after.siblings) > len(before.siblings):

@@ -30,20 +30,19 @@ def roundabout(*cars, route="nxs"):
 
 def test_exactly_one_of_two_vehicles_goes_first():
     _, one, other = roundabout((ENTRANCE, 0.0, 8.0), (RING, 0.0, 12.0))
-    kinds = list(
-        product((0.0, 3.0, 30.0), ((0.0, True), (0.0, False), (1.0, True)), (0.0, 12.0))
-    )
-    for (own_distance, own_rank, speed), (distance, rank, other_speed) in product(
-        kinds, kinds
-    ):
-        one.speed = speed
-        other.speed = other_speed
+    distances = (0.0, 3.0, 30.0)
+    ranks = ((0.0, True), (0.0, False), (1.0, True))
+    speeds = (0.0, 12.0)
+    kinds = list(product(distances, ranks, speeds))
+    for own_kind, other_kind in product(kinds, kinds):
+        own_distance, own_rank, one.speed = own_kind
+        other_distance, other_rank, other.speed = other_kind
         approach = Approach(one, own_distance, 5.0, own_rank, 0)
-        others = Approach(other, distance, 5.0, rank, 1)
+        others = Approach(other, other_distance, 5.0, other_rank, 1)
         assert approach.goes_before(others) != others.goes_before(approach)
 
 
-def test_who_enters_a_roundabout_gives_way_to_who_is_in_it_and_enters_afterwards():
+def test_who_enters_a_roundabout_gives_way_and_enters_afterwards():
     road, entering, circulating = roundabout((ENTRANCE, 0.0, 8.0), (RING, 5.0, 12.0))
     ((own, other),) = conflicts(entering)
     assert other.goes_before(own)

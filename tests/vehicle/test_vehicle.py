@@ -38,7 +38,7 @@ def drive(road, steps, dt=0.1):
     return speeds
 
 
-def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvature_to_steering():
+def test_a_bicycle_vehicle_moves_like_the_dynamics_of_games():
     _, car = road_with((BicycleVehicle, (0.0, 0.0), 18.0, 0.1))
     before = car.state
     control = np.array([np.tan(0.05) / 5.0, 2.0])
@@ -52,7 +52,7 @@ def test_the_bicycle_vehicle_moves_like_the_games_dynamics_and_converts_curvatur
     assert car.state.dtype == np.float64
 
 
-def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_overlap():
+def test_cars_that_are_not_solid_are_hit_if_bodies_overlap():
     random = np.random.default_rng(0)
     still = np.zeros(2)
     hits = []
@@ -72,21 +72,14 @@ def test_a_car_that_is_not_solid_is_hit_if_highway_env_finds_that_the_bodies_ove
     assert 0.2 < np.mean(hits) < 0.8
 
 
+# Gaps are between bumpers; at 20 m/s, they are the quartiles of drivers on US-101.
 @pytest.mark.parametrize(
-    (
-        "start",
-        "leader_speed",
-        "gaps",
-    ),  # between bumpers; at 20 m/s, the quartiles of drivers on US-101
-    [
-        (35.0, 0.0, (1, 6)),
-        (35.0, 20.0, (16.9, 34.8)),
-    ],
+    ("leader_speed", "gaps"), [(0.0, (1, 6)), (20.0, (16.9, 34.8))]
 )
-def test_commuters_keep_their_distance_behind_a_car(start, leader_speed, gaps):
+def test_commuters_keep_their_distance_behind_a_car(leader_speed, gaps):
     cars = (
         (CommuterVehicle, (0.0, 0.0), 20.0),
-        (ScriptedVehicle, (start, 0.0), leader_speed),
+        (ScriptedVehicle, (35.0, 0.0), leader_speed),
     )
     road, car, leader = road_with(*cars, lanes=1)
     drive(road, 250)
@@ -95,7 +88,7 @@ def test_commuters_keep_their_distance_behind_a_car(start, leader_speed, gaps):
     assert gaps[0] < leader.position[0] - car.position[0] - car.LENGTH < gaps[1]
 
 
-def test_a_commuter_that_must_stop_brakes_within_its_grip_and_stands_until_it_may_drive():
+def test_a_commuter_stops_within_its_grip_until_it_may_drive():
     road, car = road_with((CommuterVehicle, (0.0, 0.0), 15.0))
     car.target_speed = 0
     speeds = drive(road, 90, 1 / 15)
@@ -106,18 +99,16 @@ def test_a_commuter_that_must_stop_brakes_within_its_grip_and_stands_until_it_ma
     assert drive(road, 15, 1 / 15)[-1] > 1.5
 
 
-def test_a_commuter_that_stands_far_behind_a_standing_car_drives_up_to_it():
-    cars = (
-        (CommuterVehicle, (0.0, 0.0), 0),
-        (ScriptedVehicle, (35.0, 0.0), 0),
-    )  # whole numbers of m/s
+def test_a_commuter_drives_up_to_a_standing_car():
+    # Speeds are whole numbers, of type int.
+    cars = ((CommuterVehicle, (0.0, 0.0), 0), (ScriptedVehicle, (35.0, 0.0), 0))
     road, car, leader = road_with(*cars, lanes=1)
     car.target_speed = 20
     drive(road, 150, 1 / 15)
     assert 1.0 < leader.position[0] - car.position[0] - car.LENGTH < 6.0
 
 
-def test_a_human_that_nobody_drives_says_who_does_on_any_road():
+def test_a_human_without_a_controller_names_the_commuter():
     road, _ = road_with((HumanVehicle, (0.0, 0.0), 15.0))
     with pytest.raises(
         ValueError, match=r"drive_with, or use ms_highway.vehicle.CommuterVehicle"
