@@ -1,6 +1,7 @@
 """Demonstration: a person or a program drives a car among others that do not react."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from math import atan, pi
 from typing import Literal
 
@@ -26,19 +27,6 @@ from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, stat
 DENSITIES = {"sparse": 2, "medium": 4, "dense": 7}
 """Number of other cars, by name of the density of traffic."""
 
-LANES = 3
-OTHERS = max(DENSITIES.values())
-ABSENT = np.array(
-    [-1000.0, 0.0, 0.0, 0.0]
-)  # state of absent cars: so far behind that they do not count
-
-LATERAL_SPREAD = 0.5  # m, standard deviation of the start from the middle of a lane
-OFF_ROAD_SHARE, OFF_ROAD_DEPTH = (
-    0.2,
-    1.0,
-)  # share of episodes that start off the road; m, by how much at most
-HEADING_SPREAD, SPEED_SPREAD = 0.04, 2.5  # rad and m/s, standard deviations
-
 ACTION = {
     "type": "ContinuousAction",
     "acceleration_range": [-50.0, 50.0],
@@ -58,11 +46,57 @@ loses 7 m/s^2, or turns at 11 degrees per second.
 """
 
 
+@dataclass(frozen=True)
+class DriverStart:
+    """Set how the start of the driver is drawn, so that it has something to correct."""
+
+    lateral_spread: float = 0.5
+    """Standard deviation from the middle of a lane [m]."""
+    heading_spread: float = 0.04
+    """Standard deviation of the heading [rad]."""
+    speed_spread: float = 2.5
+    """Standard deviation from the speed limit [m/s]."""
+    off_road_share: float = 0.2
+    """Share of episodes that start off the road, so that driving back is shown, too."""
+    off_road_depth: float = 1.0
+    """Depth off the road at most [m]."""
+
+
+@dataclass(frozen=True)
+class RouteDraw:
+    """Set how the routes of the other cars are drawn."""
+
+    places: tuple[float, float] = (-30.0, 60.0)
+    """Places along the road where routes start, from the driver [m]."""
+    speeds: tuple[float, float] = (18.0, 20.0)
+    """Speeds along the road [m/s]."""
+    lane_change_share: float = 0.4
+    """Share of the cars that change lane."""
+    change_starts: tuple[float, float] = (0.0, 2.5)
+    """Times at which lane changes start [s]."""
+    change_durations: tuple[float, float] = (2.5, 3.5)
+    """Durations of lane changes [s]."""
+    gap: float = 8.0
+    """Distance of centres along the road at which two cars are apart [m]; cars are 5 m
+    long.
+    """
+    side_gap: float = 2.8
+    """Distance of centres across the road at which two cars are apart [m]; cars are
+    2.5 m wide.
+    """
+    tries: int = 200
+    """Routes that are drawn for one car, on average, before all are drawn again."""
+
+
+DRIVER_START = DriverStart()
+ROUTE_DRAW = RouteDraw()
+
+
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
     """Build the game of a driver with these weights by name, on three lanes like those
     of the paper's scenes.
     """
-    lanes = np.arange(LANES) * LANE_WIDTH
+    lanes = np.arange(3) * LANE_WIDTH
     scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
     return driving_game(scene, SPEED_LIMIT, weights, grip=None)
 
@@ -105,7 +139,10 @@ class DemonstrationEnv(GameEnv):
         "action": {"ContinuousAction": RANGES},
         "observation": {"CarTracks": {}},
     }
-    cars = 1 + OTHERS
+    others = max(DENSITIES.values())
+    cars = 1 + others
+    # State of absent cars: so far behind that they do not count.
+    absent_state = np.array([-1000.0, 0.0, 0.0, 0.0])
 
     @classmethod
     def default_config(cls) -> Config:
@@ -130,37 +167,41 @@ class DemonstrationEnv(GameEnv):
     def _reset(self) -> None:
         """Build the road and place the cars."""
         start = self._draw_start()
+
+        # Routes go on for the horizon of a plan after the last step.
         steps = self.episode_steps + self.game.planner.horizon
         times = np.arange(steps + 1) * TIME_STEP
         lanes = np.asarray(self.game.scene.lanes, dtype=float)
-        routes = draw_routes(
-            self.np_random, DENSITIES[self.config["density"]], times, lanes, start
-        )
-        self.routes = np.tile(ABSENT, (OTHERS, len(times), 1))
+        cars = DENSITIES[self.config["density"]]
+        routes = draw_routes(self.np_random, cars, times, lanes, start)
+        self.routes = np.tile(self.absent_state, (self.others, len(times), 1))
         self.routes[: len(routes)] = routes
+
         self.road = Road(straight_road(self.game), np_random=self.np_random)
         driver = BicycleVehicle(self.road, start[:2], *start[2:].tolist())
         driver.color = HumanVehicle.COLOR
         self._place([driver, *(RoutedVehicle(self.road, route) for route in routes)])
 
     def _draw_start(self) -> Car:
+        """Draw the state of the driver at the start."""
         random = self.np_random
+        draw = DRIVER_START
         scene = self.game.scene
         lanes = np.asarray(scene.lanes, dtype=float)
-        half = float(scene.lane_width) / 2
-        y = random.choice(lanes) + random.normal(scale=LATERAL_SPREAD)
-        if random.uniform() < OFF_ROAD_SHARE:
-            inside = random.uniform(-OFF_ROAD_DEPTH, 0) + BicycleVehicle.WIDTH / 2
-            y = random.choice([lanes[0] - half + inside, lanes[-1] + half - inside])
-        speed = float(self.game.robot.speed_limit)
-        return np.array(
-            [
-                0.0,
-                y,
-                random.normal(scale=HEADING_SPREAD),
-                random.normal(speed, SPEED_SPREAD),
-            ]
-        )
+        half_lane = float(scene.lane_width) / 2
+
+        # In a lane, or with one side off the road.
+        y = random.choice(lanes) + random.normal(scale=draw.lateral_spread)
+        if random.uniform() < draw.off_road_share:
+            depth = random.uniform(-draw.off_road_depth, 0)
+            from_edge = depth + BicycleVehicle.WIDTH / 2
+            left = lanes[0] - half_lane + from_edge
+            right = lanes[-1] + half_lane - from_edge
+            y = random.choice([left, right])
+
+        heading = random.normal(scale=draw.heading_spread)
+        speed = random.normal(float(self.game.robot.speed_limit), draw.speed_spread)
+        return np.array([0.0, y, heading, speed])
 
     @property
     def present(self) -> np.ndarray:
@@ -172,7 +213,7 @@ class DemonstrationEnv(GameEnv):
         """``(x, y, heading, speed)`` of the driver and of the others in SI units;
         absent ones stand far behind.
         """
-        states = np.tile(ABSENT, (self.cars, 1))
+        states = np.tile(self.absent_state, (self.cars, 1))
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
@@ -181,24 +222,13 @@ class DemonstrationEnv(GameEnv):
         to what actions reach.
         """
         omega, acceleration = np.asarray(control, dtype=float).tolist()
-        wanted = acceleration, atan(omega * BicycleVehicle.LENGTH)
-        ranges = self.action_type.acceleration_range, self.action_type.steering_range
+        steering = atan(omega * BicycleVehicle.LENGTH)
+        kind = self.action_type
         shares = [
-            np.interp(value, limits, [-1, 1])
-            for value, limits in zip(wanted, ranges, strict=True)
+            np.interp(acceleration, kind.acceleration_range, [-1, 1]),
+            np.interp(steering, kind.steering_range, [-1, 1]),
         ]
         return np.array(shares, dtype=np.float32)
-
-
-NEAR = (-30.0, 60.0)  # m along the road, where routes start
-SPEEDS = (18.0, 20.0)  # m/s along the road
-LANE_CHANGES = 0.4  # share of the cars that change lane
-CHANGE_STARTS, CHANGE_LASTS = (0.0, 2.5), (2.5, 3.5)  # s
-GAP, SIDE_GAP = (
-    8.0,
-    2.8,
-)  # m between centres; two cars keep one of them at all times (cars are 5 m x 2.5 m)
-TRIES = 200  # for one car, before all are drawn again
 
 
 def draw_routes(
@@ -223,11 +253,10 @@ def draw_routes(
     """
     while True:
         routes: list[np.ndarray] = []
-        for _ in range(TRIES * cars):
+        for _ in range(ROUTE_DRAW.tries * cars):
             route = _draw_route(random, times, lanes, driver[0])
-            if _clear(route[0], driver) and all(
-                _clear(route, other).all() for other in routes
-            ):
+            clear_of_routes = all(_clear(route, other).all() for other in routes)
+            if clear_of_routes and _clear(route[0], driver):
                 routes.append(route)
             if len(routes) == cars:
                 return np.array(routes)
@@ -236,24 +265,30 @@ def draw_routes(
 def _draw_route(
     random: np.random.Generator, times: Times, lanes: Vector, x: float
 ) -> np.ndarray:
+    """Draw the states of a car at these times, [times, 4], which starts near x."""
+    draw = ROUTE_DRAW
     lane = random.integers(len(lanes))
-    speed = random.uniform(*SPEEDS)
-    beside = random.choice(
-        [place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)]
-    )
-    start = random.uniform(*CHANGE_STARTS)
-    lasts = random.uniform(*CHANGE_LASTS)
-    width = (lanes[beside] - lanes[lane]) * (random.uniform() < LANE_CHANGES)
-    share = np.clip((times - start) / lasts, 0, 1)
+    speed = random.uniform(*draw.speeds)
+    neighbours = [place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)]
+    next_lane = random.choice(neighbours)
+    start = random.uniform(*draw.change_starts)
+    duration = random.uniform(*draw.change_durations)
+    changes = random.uniform() < draw.lane_change_share
+
+    # A quintic from lane to lane: 10 s^3 - 15 s^4 + 6 s^5 of the width, where s is the
+    # share of the lane change that is done; speed and acceleration across are 0 at its
+    # ends.
+    width = (lanes[next_lane] - lanes[lane]) * changes
+    share = np.clip((times - start) / duration, 0, 1)
     y = lanes[lane] + width * share**3 * (10 - 15 * share + 6 * share**2)
-    sideways = width * 30 * (share * (1 - share)) ** 2 / lasts
-    along = x + random.uniform(*NEAR) + speed * times
-    return np.stack(
-        [along, y, np.arctan2(sideways, speed), np.hypot(sideways, speed)], axis=-1
-    )
+    speed_across = width * 30 * (share * (1 - share)) ** 2 / duration
+
+    along = x + random.uniform(*draw.places) + speed * times
+    heading = np.arctan2(speed_across, speed)
+    return np.stack([along, y, heading, np.hypot(speed_across, speed)], axis=-1)
 
 
 def _clear(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return whether two cars are apart, along the road or across it."""
     apart = np.abs(one[..., :2] - other[..., :2])
-    return (apart[..., 0] >= GAP) | (apart[..., 1] >= SIDE_GAP)
+    return (apart[..., 0] >= ROUTE_DRAW.gap) | (apart[..., 1] >= ROUTE_DRAW.side_gap)
