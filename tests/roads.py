@@ -8,12 +8,14 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
-from ms_highway.road.constants import LANE, RoadPlanning, RoadWeights
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.simulation import advance, bodies
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING = RoadPlanning()
 WEIGHTS = RoadWeights()
+LANE = RoadPlanning.lane_width
 ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
 
 

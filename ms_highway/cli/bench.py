@@ -227,7 +227,7 @@ def bench_road(options: argparse.Namespace) -> None:
     from ms_highway.benchmarks.road.peers import RecordedStart, starts_of
     from ms_highway.envs.agents import is_agent
     from ms_highway.experiments.directory import write_table
-    from ms_highway.road.driver import SHIPPED_COSTS
+    from ms_highway.road.driver import MEASURED_COSTS
     from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import driver_table
 
@@ -271,7 +271,7 @@ def bench_road(options: argparse.Namespace) -> None:
             if options.log:
                 write_table(pd.DataFrame(rows), options.log)
 
-    costs = zip(SHIPPED_COSTS.names, SHIPPED_COSTS.each, strict=True)
+    costs = zip(MEASURED_COSTS.names, MEASURED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {1e3 * seconds:.2g}" for name, seconds in costs)
     for scene, figures in results.items():
         heading = (

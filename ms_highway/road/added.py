@@ -12,13 +12,12 @@ from ms_highway.game.scenario import driving_game
 from ms_highway.loop.controller import HUMAN_DRIVERS, FunctionDriver, function_names
 from ms_highway.numerics.solvers import PlanningSettings
 from ms_highway.perception.scene import TRAFFIC, RoadScene
-from ms_highway.road.constants import MODELS, RoadPlanning, RoadWeights
 from ms_highway.road.driver import RoadStep
+from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_view import RoadView, look
+from ms_highway.road.road_weights import RoadWeights
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 from ms_highway.runtime.names import PACKAGE_NAMES
-
-SOURCE = "driver"
-"""What drives, in records."""
 
 
 def added_drivers() -> list[str]:
@@ -80,15 +79,15 @@ class AddedRoadDriver:
         )
         return RoadStep(
             control,
-            control[None],
-            np.zeros((TRAFFIC, 0, 2)),
-            ("",) * TRAFFIC,
-            answer.planning_seconds,
-            ladder=MODELS,
-            gains=np.full((TRAFFIC, len(MODELS)), np.nan),
+            plan=control[None],
+            humans=np.zeros((TRAFFIC, 0, 2)),
+            models=("",) * TRAFFIC,
+            planning_seconds=answer.planning_seconds,
+            ladder=TRAFFIC_MODELS,
+            gains=np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan),
             path=np.zeros((0, 3)),
             owners=np.asarray(scene.owners),
-            source=SOURCE,
+            source="driver",
         )
 
     def _game(self, view: RoadView) -> Game:

@@ -11,8 +11,10 @@ from functools import cache
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Float
 
 from ms_highway.data.learned_reward import commuter_weights
+from ms_highway.game.car_following import TRAFFIC_LIMITS
 from ms_highway.game.dynamics import Motion
 from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward, linear_reward
@@ -21,35 +23,51 @@ from ms_highway.game.scene import FAR_AWAY, Scene
 from ms_highway.numerics.newton import DAMPED_SHARES, best_of, damped_solve
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.perception.scene import RoadScene, Steps, World
-from ms_highway.road.constants import LANE, RoadPlanning
+from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.simulation import earlier
 from ms_highway.runtime.arrays import Car, Index, Matrix, Numbers, Scalar, Vector
 
-NEWTON_STEPS = 3
-ACCELERATION_UNIT = 5.0
-"""Unit of the optimised accelerations [m/s^2]."""
 
-MIN_ACCELERATION = -6.0 / ACCELERATION_UNIT
-MAX_ACCELERATION = 3.0 / ACCELERATION_UNIT
-FIRST_ACCELERATIONS = (
-    np.array([0.0, -2.0, -4.0, -6.0], np.float32)[:, None] / ACCELERATION_UNIT
-)  # steady braking
-PATH_TIME = (
-    0.8  # s, time constant of the distance to the path, as under highway-env's steering
-)
-NEAREST_CARS = 6  # cars that a driver heeds besides the robot
-ALONG_PER_ASIDE = (
-    5.0  # longitudinal distance that counts like a lateral distance of 1 m [m]
-)
-HEEDED = (
-    "speed",
-    "collision_risk",
-    "headway",
-    "closing_speed",
-    "induced_braking",
-    "comfort_acceleration",
-)
-"""Terms of the reward that depend on accelerations."""
+@dataclass(frozen=True)
+class ResponseSettings:
+    """Set how the best responses of humans are computed."""
+
+    newton_steps: int = 3
+    """Number of damped Newton steps."""
+    acceleration_unit: float = 5.0
+    """Unit of the optimised accelerations [m/s^2]."""
+    first_accelerations: tuple[float, ...] = (0.0, -2.0, -4.0, -6.0)
+    """Steady accelerations from which the optimisation starts [m/s^2]."""
+    path_time: float = 0.8
+    """Time constant of the distance to the path, as under highway-env's steering [s]."""
+    nearest_cars: int = 6
+    """Number of cars that a driver heeds besides the robot."""
+    along_per_aside: float = 5.0
+    """Longitudinal distance that counts like a lateral distance of 1 m [m]."""
+    features: tuple[str, ...] = (
+        "speed",
+        "collision_risk",
+        "headway",
+        "closing_speed",
+        "induced_braking",
+        "comfort_acceleration",
+    )
+    """Terms of the reward that depend on accelerations."""
+
+    @property
+    def range(self) -> tuple[float, float]:
+        """Hardest braking and acceleration of humans [units of acceleration]."""
+        unit = self.acceleration_unit
+        return -TRAFFIC_LIMITS.braking / unit, TRAFFIC_LIMITS.acceleration / unit
+
+    @property
+    def starts(self) -> Float[np.ndarray, "starts 1"]:
+        """Accelerations from which the optimisation starts [units of acceleration]."""
+        first = np.array(self.first_accelerations, np.float32)
+        return first[:, None] / self.acceleration_unit
+
+
+RESPONSES = ResponseSettings()
 
 
 @jax.tree_util.register_dataclass
@@ -58,7 +76,7 @@ class Commuter:
     """A human on its path, and the motion of others in the path's coordinates.
 
     The reward is computed as on a straight road of one lane. Accelerations are in units
-    of `ACCELERATION_UNIT`.
+    of `ResponseSettings.acceleration_unit`.
 
     Attributes:
         planning: time step and number of steps.
@@ -76,17 +94,17 @@ class Commuter:
 
     def earned(self, scaled: Vector) -> Scalar:
         """Return the sum of rewards, less the discomfort of accelerations."""
-        return (
-            jnp.sum(self.rewards(self.move(scaled)))
-            - self._comfort * jnp.sum(scaled**2) / 2
-        )
+        discomfort = self._comfort * jnp.sum(scaled**2) / 2
+        return jnp.sum(self.rewards(self.move(scaled))) - discomfort
 
     def rewards(self, motion: Steps) -> Steps:
         """Return the reward after each step, given s and speed after each step [2,
         steps].
         """
         s, speed = motion
-        own = Motion(s, self.aside, jnp.ones_like(s), jnp.zeros_like(s), speed)
+        own = Motion(
+            s, self.lateral_position, jnp.ones_like(s), jnp.zeros_like(s), speed
+        )
         return motion_reward(self.road, self.reward, own, self.others)
 
     def expand(self, scaled: Vector) -> tuple[Vector, Matrix]:
@@ -96,17 +114,21 @@ class Commuter:
         accelerations: the chain rule needs only second derivatives in these two
         numbers.
         """
-        effects = self._effects
-        slopes, bends = along_fields(
-            lambda motion: along_fields(self.rewards, motion)[1], self.move(scaled)
-        )
-        hessian = jnp.tensordot(
-            effects, jnp.sum(bends[..., None] * effects, axis=1), ((0, 1), (0, 1))
-        )
+        effects = self._effects  # [2, steps, accelerations]
+
+        def slope(motion: Steps) -> Steps:
+            return along_fields(self.rewards, motion)[1]
+
+        # Slopes [2, steps] and curvatures [2, 2, steps] of the rewards in s and speed.
+        slopes, curvatures = along_fields(slope, self.move(scaled))
+        curved_effects = jnp.sum(curvatures[..., None] * effects, axis=1)
+        hessian = jnp.tensordot(effects, curved_effects, ((0, 1), (0, 1)))
         gradient = jnp.tensordot(slopes, effects, 2)
-        return gradient - self._comfort * scaled, hessian - self._comfort * jnp.eye(
-            len(scaled)
-        )
+
+        # The discomfort is quadratic in the accelerations.
+        own_gradient = self._comfort * scaled
+        own_hessian = self._comfort * jnp.eye(len(scaled))
+        return gradient - own_gradient, hessian - own_hessian
 
     def best_response(self) -> Vector:
         """Return the best accelerations, by damped Newton steps from steady braking.
@@ -116,46 +138,41 @@ class Commuter:
         """
 
         def best(candidates: Steps) -> Vector:
-            held = jax.vmap(self.held)(candidates)
-            return best_of(held, jax.vmap(self.earned)(held))
+            possible = jax.vmap(self.limited)(candidates)
+            return best_of(possible, jax.vmap(self.earned)(possible))
 
         def improve(_: Index, scaled: Vector) -> Vector:
             gradient, hessian = self.expand(scaled)
-            return best(
-                scaled + DAMPED_SHARES[:, None] * damped_solve(hessian, gradient)
-            )
+            newton_step = damped_solve(hessian, gradient)
+            return best(scaled + DAMPED_SHARES[:, None] * newton_step)
 
-        first = best(
-            jnp.broadcast_to(
-                FIRST_ACCELERATIONS, (len(FIRST_ACCELERATIONS), self.planning.steps)
-            )
-        )
-        return jax.lax.fori_loop(0, NEWTON_STEPS, improve, first)
+        starts = RESPONSES.starts
+        first = best(jnp.broadcast_to(starts, (len(starts), self.planning.steps)))
+        return jax.lax.fori_loop(0, RESPONSES.newton_steps, improve, first)
 
-    def held(self, scaled: Vector) -> Vector:
+    def limited(self, scaled: Vector) -> Vector:
         """Limit accelerations to the range of humans and to speeds from 0.
 
         With unlimited speeds c_k, the speed that never falls below zero is ``c_k -
         min(0, c_1, ..., c_k)``.
         """
-        _, free = self.move(jnp.clip(scaled, MIN_ACCELERATION, MAX_ACCELERATION))
-        kept = free - jnp.minimum(jax.lax.cummin(free), 0.0)
-        return (kept - earlier(self.state[3], kept)) / (
-            self.planning.time_step * ACCELERATION_UNIT
-        )
+        _, unlimited = self.move(jnp.clip(scaled, *RESPONSES.range))
+        speed = unlimited - jnp.minimum(jax.lax.cummin(unlimited), 0.0)
+        change = speed - earlier(self.state[3], speed)
+        return change / (self.planning.time_step * RESPONSES.acceleration_unit)
 
     def move(self, scaled: Vector) -> Steps:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
-        kept = jnp.stack(
+        at_constant_speed = jnp.stack(
             [s + speed * self.planning.times, jnp.full_like(scaled, speed)]
         )
-        return kept + jnp.sum(self._effects * scaled, axis=-1)
+        return at_constant_speed + jnp.sum(self._effects * scaled, axis=-1)
 
     @property
-    def aside(self) -> Steps:
+    def lateral_position(self) -> Steps:
         """Lateral position after each step."""
-        return self.state[1] * jnp.exp(-self.planning.times / PATH_TIME)
+        return self.state[1] * jnp.exp(-self.planning.times / RESPONSES.path_time)
 
     @property
     def _effects(self) -> Numbers:
@@ -164,19 +181,22 @@ class Commuter:
         """
         steps = np.arange(self.planning.steps)
         dt = self.planning.time_step
-        age = steps[:, None] - steps
-        by_speed = jnp.asarray(age >= 0, jnp.float32) * (dt * ACCELERATION_UNIT)
-        return jnp.stack([by_speed * (age + 0.5) * dt, by_speed])
+        age = steps[:, None] - steps  # of each acceleration at each step
+        acts = jnp.asarray(age >= 0, jnp.float32)
+        on_speed = acts * (dt * RESPONSES.acceleration_unit)
+        return jnp.stack([on_speed * (age + 0.5) * dt, on_speed])
 
     @property
     def _comfort(self) -> Scalar:
-        return self.reward.comfort[1] * (ACCELERATION_UNIT / PAPER_UNIT) ** 2
+        """Weight of the squared accelerations, in units of acceleration."""
+        unit = RESPONSES.acceleration_unit / PAPER_UNIT
+        return self.reward.comfort[1] * unit**2
 
 
 def commuter_among(
     scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World
 ) -> Commuter:
-    """Return other car i as a commuter among the robot and the `NEAREST_CARS` others.
+    """Return other car i as a commuter among the robot and the nearest others.
 
     Args:
         scene: the road.
@@ -190,29 +210,39 @@ def commuter_among(
         lambda field: jnp.asarray(field)[i],
         (scene.paths, scene.states, scene.sizes, scene.limits),
     )
-    x, y, heading, speed = jnp.moveaxis(jnp.concatenate([robot[None], others]), 1, 0)
-    s, d, relative = path.project(x, y, heading)
-    cosine = jnp.cos(relative)
-    road = Scene(jnp.zeros(1), LANE, car_size=size)
-    counts = jnp.append(True, scene.present & (scene.owners != scene.owners[i]))
-    seen = Motion(
+
+    # The robot and the others along the car's path; the robot comes first. Who does not
+    # count is far behind.
+    trajectories = jnp.concatenate([robot[None], others])
+    x, y, heading, speed = jnp.moveaxis(trajectories, 1, 0)
+    s, d, relative_heading = path.project(x, y, heading)
+    cosine = jnp.cos(relative_heading)
+    is_other = scene.present & (scene.owners != scene.owners[i])
+    counts = jnp.append(True, is_other)
+    motion = Motion(
         jnp.where(counts[:, None], s, s - FAR_AWAY),
         d,
         cosine,
-        jnp.sin(relative),
+        jnp.sin(relative_heading),
         speed * cosine,
     )
-    human = Commuter(planning, state, road, replace(_reward(), speed_limit=limit), seen)
-    kept = state[0] + state[3] * planning.times
-    apart = ((s - kept) ** 2 / ALONG_PER_ASIDE**2 + (d - human.aside) ** 2).min(axis=1)
-    apart = jnp.where(counts, apart, jnp.inf).at[0].set(-1.0)  # the robot always counts
-    _, heeded = jax.lax.top_k(-apart, 1 + NEAREST_CARS)
-    return replace(human, others=Motion(*(field[heeded] for field in seen)))
+    road = Scene(jnp.zeros(1), planning.lane_width, car_size=size)
+    reward = replace(_reward(), speed_limit=limit)
+    human = Commuter(planning, state, road, reward, motion)
+
+    # The nearest cars, if the human keeps its speed; the robot is always among them.
+    own_s = state[0] + state[3] * planning.times
+    along = (s - own_s) ** 2 / RESPONSES.along_per_aside**2
+    squared_distance = (along + (d - human.lateral_position) ** 2).min(axis=1)
+    squared_distance = jnp.where(counts, squared_distance, jnp.inf).at[0].set(-1.0)
+    _, nearest = jax.lax.top_k(-squared_distance, 1 + RESPONSES.nearest_cars)
+    return replace(human, others=Motion(*(field[nearest] for field in motion)))
 
 
 @cache
 def _reward() -> Reward:
-    return linear_reward(
-        {name: weight for name, weight in commuter_weights().items() if name in HEEDED},
-        1.0,
-    )
+    weights = commuter_weights()
+    heeded = {
+        name: weight for name, weight in weights.items() if name in RESPONSES.features
+    }
+    return linear_reward(heeded, 1.0)

@@ -24,9 +24,8 @@ from ms_highway.envs.configuration import as_json, checked_seed
 from ms_highway.envs.game_env import GameEnv
 from ms_highway.envs.viewer import enable_pictures
 from ms_highway.perception.scene import TRAFFIC
-from ms_highway.road.constants import MODELS
 from ms_highway.road.graphics import show
-from ms_highway.road.robot import PERIOD, RoadRobot
+from ms_highway.road.robot import RoadRobot
 from ms_highway.road.settings import RoadSettings
 from ms_highway.road.stock import (
     desired_speed_of,
@@ -35,6 +34,7 @@ from ms_highway.road.stock import (
     restore_traffic,
     success,
 )
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 WORKS = (
     "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack"
@@ -53,7 +53,7 @@ UNTIL_FIRST = {
 first step.
 """
 
-NO_GAINS = np.full((TRAFFIC, len(MODELS)), np.nan)
+NO_GAINS = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
 # m/s^2 and rad: the control in the frames of a step may differ from its action by this
 # much
 SAME = 1e-5
@@ -242,7 +242,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         # Plans of this step; those that were not made leave their places empty.
         frequency = base.config["simulation_frequency"]
         frames = frequency // base.config["policy_frequency"]
-        frames_of_plan = max(1, round(PERIOD * frequency))
+        frames_of_plan = max(1, round(RoadRobot.period * frequency))
         seconds = [
             step.planning_seconds + step.decision_seconds for step in robot.steps
         ]
@@ -265,11 +265,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         road = {
             name: getattr(last, name, value) for name, value in UNTIL_FIRST.items()
         } | {
-            "gains": dict(zip(MODELS, gains.T, strict=True)),
+            "gains": dict(zip(TRAFFIC_MODELS, gains.T, strict=True)),
             "decisions": np.array(seconds + [np.nan] * missing),
             "sources": (*(step.source for step in robot.steps), *[""] * missing),
             "late": sum(step.status == "late" for step in robot.steps),
-            "model_counts": {name: counts[name] for name in MODELS},
+            "model_counts": {name: counts[name] for name in TRAFFIC_MODELS},
             "acceleration": float(max(robot.accelerations, default=0.0)),
             "jerk": float(max(robot.jerks, default=0.0)),
             "destination": robot.goal_place,

@@ -8,7 +8,7 @@ looks, before it chooses; planning is then to let others respond to the best pro
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import jax
 import numpy as np
@@ -33,32 +33,25 @@ from ms_highway.loop.step import (
 from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.plans import Plan
-from ms_highway.road.constants import MODELS, NAIVE, TOM, RoadPlanning, RoadWeights
 from ms_highway.road.plan import Proposed, RoadPlan, no_plan, propose_road, respond_road
-from ms_highway.road.proposals import FULL_BRAKING, LAST_PLAN, LastPlan
+from ms_highway.road.proposals import LAST_PLAN, LastPlan, full_braking
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.road_weights import RoadWeights
+from ms_highway.road.traffic_models import TRAFFIC_MODELS, ModelNumber
 from ms_highway.runtime.arrays import Controls, PerHuman, Rungs
 from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
-SHIPPED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), MODELS)
+MEASURED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), TRAFFIC_MODELS)
 """Planning time if all cars are naive, and the time that each car adds under each
 model, measured on one core [s].
 """
 
-UNKNOWN_WORTH = np.zeros(TRAFFIC, np.float32)
-"""What a better prediction of each of the others may gain, before anything is proposed.
-"""
-
-# share of the grip above which the deceleration of a broken plan counts as braking
-BRAKING_SHARE = 0.95
-SOURCES = {LAST_PLAN: "last plan"} | dict.fromkeys(FULL_BRAKING, "braking")
-
+# Proposals, answers to them and decisions are each compiled once for all scenes, models,
+# limits and weights.
 proposed_for = jit_quickly(propose_road)
 responded_to = jit_quickly(respond_road)
 decided = jit_quickly(decide_on)
-"""Proposals, answers to them and decisions, each compiled once for all scenes, models,
-limits and weights.
-"""
 
 
 def plan_of(
@@ -132,42 +125,49 @@ class RoadDriver:
         rule: chooses the models.
         weights: of the score.
         budget: largest time of a decision and a plan together [s].
+        braking_share: share of the grip above which the deceleration of a broken plan
+            counts as braking.
     """
 
     planning: RoadPlanning
     rule: Rule[PerHuman]
     weights: RoadWeights = field(default_factory=RoadWeights)
     budget: float = np.inf
+    braking_share: ClassVar[float] = 0.95
 
     def __post_init__(self) -> None:
         self._carry: Carry | None = None  # before the first step
-        numbers = [MODELS.index(model.name) for model in self.rule.ladder]
+        numbers = [TRAFFIC_MODELS.index(model.name) for model in self.rule.ladder]
         self._numbers = np.array(numbers, np.int32)
-        self._proposing = self._responding = self._deciding = (
-            0.0  # seconds of the last step
-        )
+
+        # What the last step was worth and took.
+        self._unknown_worth = np.zeros(TRAFFIC, np.float32)  # before any proposal
+        self._started = 0.0
+        self._proposing_seconds = 0.0
+        self._responding_seconds = 0.0
+        self._deciding_seconds = 0.0
 
     def step(self, scene: RoadScene) -> RoadStep:
         """Choose the models, plan, and return the record of this step."""
         refuse_after_fork()
         carry = self._carry or self._begin(scene)
-        nobody = np.zeros(TRAFFIC, np.int32)
-        compiling = warm_up(
-            plan_of,
-            scene,
-            self.planning,
-            self.weights,
-            nobody,
-            carry.fallback.warm_start,
-        )
-        if self.rule.estimates:
-            compiling += warm_up(decided, self.rule, carry.memory, UNKNOWN_WORTH)
+        compile_seconds = self._compile(scene, carry)
         self._started = perf_counter()
         is_late = self._is_late if np.isfinite(self.budget) else None
-        self._carry, result = step(
-            carry, scene, Parts(self._choose, self._plan, self._brake, is_late)
+        parts = Parts(self._choose, self._plan, self._brake, is_late)
+        self._carry, result = step(carry, scene, parts)
+        return self._record(result, compile_seconds)
+
+    def _compile(self, scene: RoadScene, carry: Carry) -> float:
+        """Compile what the step calls, and return the seconds that it took."""
+        all_naive = np.zeros(TRAFFIC, np.int32)
+        warm_start = carry.fallback.warm_start
+        seconds = warm_up(
+            plan_of, scene, self.planning, self.weights, all_naive, warm_start
         )
-        return self._record(result, compiling)
+        if self.rule.estimates:
+            seconds += warm_up(decided, self.rule, carry.memory, self._unknown_worth)
+        return seconds
 
     def _begin(self, scene: RoadScene) -> Carry:
         """Return what the robot carries into its first step, as after a step in which
@@ -175,35 +175,28 @@ class RoadDriver:
         """
         last = no_plan(self.planning)
         memory = first_memory(self.rule, TRAFFIC)
-        none = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
-        outcome = Outcome(scene, scene, last.controls[0], None, None, none.plan)
-        return Carry(memory, outcome, None, none)
+        nothing_left = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
+        outcome = Outcome(scene, scene, last.controls[0], None, None, nothing_left.plan)
+        return Carry(memory, outcome, None, nothing_left)
 
-    def _record(self, result: StepResult, compiling: float) -> RoadStep:
+    def _record(self, result: StepResult, compile_seconds: float) -> RoadStep:
         """Return the record of a step, given what happened and the seconds of
         compilation.
         """
         plan: RoadPlan = result.planned.details
         look: Look = result.choice.evidence
         controls = result.driven.plan.robot
-        finite = result.status in (PLANNED, LATE)
-        path = plan.path[: len(controls) if finite else 0]
-
-        # Where the best plan does not drive, the last one does, or braking, which a
-        # plan may also be.
-        hardest = (
-            plan.broken and plan.controls[0, 1] < -BRAKING_SHARE * self.planning.grip
-        )
-        if result.status != PLANNED:
-            source = "last plan" if result.driven.steps > 0 else "braking"
-        else:
-            source = "braking" if hardest else SOURCES.get(int(plan.chosen), "proposal")
+        is_finite = result.status in (PLANNED, LATE)
+        path = plan.path[: len(controls) if is_finite else 0]
 
         # Paths without a car have no prediction, and so no model.
-        predicted = look.scene.present & finite
-        models = np.array(MODELS)[self._models(look.scene, result.choice.rungs)]
+        is_predicted = look.scene.present & is_finite
+        numbers = self._models(look.scene, result.choice.rungs)
+        models = np.where(is_predicted, np.array(TRAFFIC_MODELS)[numbers], "")
+
+        # The gains that the rule has estimated, for the models on its ladder.
         estimated = np.asarray(result.choice.decision.gains)
-        gains = np.full((TRAFFIC, len(MODELS)), np.nan)
+        gains = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
         gains[:, self._numbers] = np.where(
             estimated == NOT_ESTIMATED, np.nan, estimated
         )
@@ -212,18 +205,32 @@ class RoadDriver:
             control=controls[0].astype(float),
             plan=controls,
             humans=plan.predictions[:, : len(path)],
-            models=tuple(np.where(predicted, models, "").tolist()),
-            planning_seconds=self._proposing + self._responding,
-            decision_seconds=self._deciding,
-            compile_seconds=compiling,
-            ladder=MODELS,
+            models=tuple(models.tolist()),
+            planning_seconds=self._proposing_seconds + self._responding_seconds,
+            decision_seconds=self._deciding_seconds,
+            compile_seconds=compile_seconds,
+            ladder=TRAFFIC_MODELS,
             gains=gains,
             status=STATUSES[result.status],
             path=path,
             owners=np.asarray(look.scene.owners),
-            source=source,
+            source=self._source(result, plan),
             broken=bool(plan.broken),
         )
+
+    def _source(self, result: StepResult, plan: RoadPlan) -> str:
+        """Return what drives: where the best plan does not, the last one does, or
+        braking; the best plan may also be one of these.
+        """
+        if result.status != PLANNED:
+            return "last plan" if result.driven.steps > 0 else "braking"
+        hardest = -self.braking_share * self.planning.grip
+        if plan.broken and plan.controls[0, 1] < hardest:
+            return "braking"
+        number = int(plan.chosen)
+        if number == LAST_PLAN:
+            return "last plan"
+        return "braking" if number in full_braking() else "proposal"
 
     # Parts of a step
 
@@ -236,39 +243,40 @@ class RoadDriver:
         memory = carry.memory
         decision = None
         if not rule.estimates:
-            decision = decide_on(rule, memory, UNKNOWN_WORTH)
+            decision = decide_on(rule, memory, self._unknown_worth)
 
         # Propose with the chosen models or, if they are yet to be chosen, with the
         # first one.
-        rungs = (
-            np.zeros(TRAFFIC, np.int32) if decision is None else decision.memory.rungs
-        )
-        first = self._models(scene, rungs)
+        all_first = np.zeros(TRAFFIC, np.int32)
+        rungs = all_first if decision is None else decision.memory.rungs
+        models = self._models(scene, rungs)
         last = carry.fallback.warm_start.later()
-        proposed, self._proposing = timed(
-            proposed_for, scene, self.planning, self.weights, first, last
+        proposed, self._proposing_seconds = timed(
+            proposed_for, scene, self.planning, self.weights, models, last
         )
 
         if decision is None:
-            rule = deciding_in(
-                rule, lambda: perf_counter() - self._started - self._proposing
-            )
+            rule = deciding_in(rule, self._seconds_without_proposing)
             decision = jax.tree.map(np.asarray, decided(rule, memory, proposed.worth))
-        self._deciding = perf_counter() - self._started - self._proposing
-        return Choice(
-            None, decision, decision.memory.rungs, Look(scene, first, proposed)
-        )
+        self._deciding_seconds = self._seconds_without_proposing()
+        look = Look(scene, models, proposed)
+        return Choice(None, decision, decision.memory.rungs, look)
+
+    def _seconds_without_proposing(self) -> float:
+        """Return the time of this step so far, less that of the proposals [s]."""
+        return perf_counter() - self._started - self._proposing_seconds
 
     def _plan(self, scene: RoadScene, choice: Choice, last: RemainingPlan) -> NewPlan:
         """Return the best proposal, once others have responded where a model says so."""
         look: Look = choice.evidence
         models = self._models(look.scene, choice.rungs)
         plan = look.proposed.plan
-        self._responding = 0.0
-        if (models != look.models).any() or (
-            models == TOM
-        ).any():  # the proposals have to be scored again
-            plan, self._responding = timed(responded_to, look.proposed, models)
+        self._responding_seconds = 0.0
+
+        # Other models than in the proposals, or responses: score them again.
+        are_others = (models != look.models).any()
+        if are_others or (models == ModelNumber.tom).any():
+            plan, self._responding_seconds = timed(responded_to, look.proposed, models)
         plan = jax.tree.map(np.asarray, plan)
         return NewPlan(_alone(plan.controls), plan.last(), details=plan)
 
@@ -277,10 +285,8 @@ class RoadDriver:
         start from.
         """
         braking = np.full_like(left.plan.robot, [0.0, -self.planning.grip])
-        return left._replace(
-            plan=_alone(braking),
-            warm_start=no_plan(self.planning)._replace(controls=braking),
-        )
+        warm_start = no_plan(self.planning)._replace(controls=braking)
+        return left._replace(plan=_alone(braking), warm_start=warm_start)
 
     def _is_late(self) -> bool:
         """Return whether the budget is spent."""
@@ -292,25 +298,26 @@ class RoadDriver:
         """Return the scene with the mean accelerations of others since the scene of the
         last step.
         """
-        owners = scene.owners.tolist()
-        speeds = scene.states[:, 3].tolist()
-        last = dict(
-            zip(before.owners.tolist(), before.states[:, 3].tolist(), strict=True)
-        )
-        changes = [
-            speed - last.get(owner, speed)
-            for owner, speed in zip(owners, speeds, strict=True)
-        ]
-        accelerations = np.nan_to_num(
-            np.array(changes, np.float32) / float(self.planning.time_step)
-        )
+        owners_before = before.owners.tolist()
+        speeds_before = before.states[:, 3].tolist()
+        speed_before = dict(zip(owners_before, speeds_before, strict=True))
+
+        # New cars have no earlier speed, and so no acceleration.
+        changes = []
+        for owner, speed in zip(
+            scene.owners.tolist(), scene.states[:, 3].tolist(), strict=True
+        ):
+            changes.append(speed - speed_before.get(owner, speed))
+        accelerations = np.array(changes, np.float32) / float(self.planning.time_step)
+        accelerations = np.nan_to_num(accelerations)
         hardest = TRAFFIC_LIMITS.braking
         accelerations = accelerations.clip(-hardest, hardest).astype(np.float32)
         return replace(scene, accelerations=accelerations)
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
         """Return the number of the model of each car; naive for those that cannot move."""
-        return np.where(scene.moving, self._numbers[rungs], NAIVE).astype(np.int32)
+        numbers = np.where(scene.moving, self._numbers[rungs], ModelNumber.naive)
+        return numbers.astype(np.int32)
 
 
 def _alone(controls: Controls) -> Plan:

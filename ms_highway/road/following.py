@@ -5,12 +5,12 @@ All others move together with the robot's proposals, step by step, so that cars 
 follow respond to the robot.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from jax import numpy as jnp
 
 from ms_highway.game.car_following import FREE_GAP, HIGHWAY_ENV_IDM, TRAFFIC_LIMITS
-from ms_highway.geometry.curve import Pose
 from ms_highway.perception.scene import (
     EachStep,
     Flags,
@@ -19,22 +19,57 @@ from ms_highway.perception.scene import (
     Steps,
     Traffic,
 )
-from ms_highway.road.constants import IDM, TOM
-from ms_highway.road.traffic import ROOM, Situation
-from ms_highway.runtime.arrays import Car
+from ms_highway.road.traffic import COSINES, PASSING_GAP, Situation
+from ms_highway.road.traffic_models import ModelNumber
+from ms_highway.runtime.arrays import Car, Numbers
 
-SAME_WAY_COSINE = (
-    0.7  # cosine of the angle between paths above which a car follows the robot ahead
-)
-PATH_TIME = 1.0  # s, time constant of the way back to the middle of the path
-# share of the speed limit below which cars are expected to speed up to the limit
-SLOW_SHARE = 0.6
-REVERSING_SPEED = 0.3  # m/s, above which a car rolls backwards
-HARD_BRAKING, BRAKING_TIME = (
-    3.0,
-    3.0,
-)  # m/s^2 and s: a car ahead that brakes harder is expected to brake on so long
-CORRECTION_TIME = 1.0  # s, time constant with which deviations from the model fade
+
+@dataclass(frozen=True)
+class TrafficPrediction:
+    """Set how others are expected to move."""
+
+    path_time: float = 1.0
+    """Time constant with which a car returns to the middle of its path [s]."""
+    slow_share: float = 0.6
+    """Share of the speed limit below which a car is expected to speed up to the limit."""
+    rolling_speed: float = 0.3
+    """Speed backwards above which a car rolls on backwards; others stop at most [m/s]."""
+    hard_braking: float = 3.0
+    """Deceleration above which a car ahead is expected to brake on [m/s^2]."""
+    braking_time: float = 3.0
+    """Time for which it is expected to brake on [s]."""
+    correction_time: float = 1.0
+    """Time constant with which deviations from the model fade [s]."""
+
+
+PREDICTION = TrafficPrediction()
+
+
+class TrafficMotion(NamedTuple):
+    """Where others are on their paths and on the robot's route, now or in each step.
+
+    Attributes:
+        along: positions on their own paths [m].
+        s, d: positions on the robot's route [m].
+        speed: along their paths [m/s].
+        cosine: of the angle between their paths and the route.
+    """
+
+    along: EachStep
+    s: EachStep
+    d: EachStep
+    speed: EachStep
+    cosine: EachStep
+
+    @property
+    def forward_speed(self) -> Numbers:
+        """Speeds in the direction of the robot's route [m/s]."""
+        return self.speed * self.cosine
+
+    @property
+    def last(self) -> "TrafficMotion":
+        """The motion after the last step."""
+        return TrafficMotion(*(field[..., -1] for field in self))
 
 
 class Behaviour(NamedTuple):
@@ -54,7 +89,7 @@ class Behaviour(NamedTuple):
     limit: EachStep
 
 
-def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
+def behaviour_of(situation: Situation, models: Places, plans: int) -> Behaviour:
     """Return the behaviour of others that follow or keep their speed, as their models
     say.
 
@@ -62,125 +97,146 @@ def behaviour_of(now: Situation, models: Places, plans: int) -> Behaviour:
     only react to the car ahead. The part of an acceleration that the model does not
     explain fades; hard braking ahead of the robot goes on.
     """
-    scene = now.scene
-    times = now.planning.times
-    follows = (models >= IDM) & scene.moving & ~now.crossings.exist
-    expected = follows | ((models == TOM) & scene.moving)
-    residual = scene.accelerations - jnp.where(expected, accelerations_now(now), 0.0)
-    limit = jnp.where(
-        now.leading & (scene.accelerations < -HARD_BRAKING),
-        scene.accelerations,
-        jnp.inf,
-    )[:, None]
+    scene = situation.scene
+    times = situation.planning.times
+    follows = (models >= ModelNumber.idm) & scene.moving & ~situation.crossings.exist
+
+    # The present acceleration that the model does not explain, fading.
+    is_modelled = follows | ((models == ModelNumber.tom) & scene.moving)
+    modelled = jnp.where(is_modelled, present_accelerations(situation), 0.0)
+    residual = scene.accelerations - modelled
+    fading = jnp.exp(-times / PREDICTION.correction_time)
+
+    # Cars ahead that brake hard brake on for some time.
+    brakes_hard = situation.leading & (scene.accelerations < -PREDICTION.hard_braking)
+    limit = jnp.where(brakes_hard, scene.accelerations, jnp.inf)[:, None]
+    step_middle = times - situation.planning.time_step / 2
+    limit = jnp.where(step_middle < PREDICTION.braking_time, limit, jnp.inf)
+
     return Behaviour(
         follows,
         accelerations=jnp.zeros((plans, len(models), len(times))),
-        residual=residual[:, None] * jnp.exp(-times / CORRECTION_TIME),
-        limit=jnp.where(
-            times - now.planning.time_step / 2 < BRAKING_TIME, limit, jnp.inf
-        ),
+        residual=residual[:, None] * fading,
+        limit=limit,
     )
 
 
-def along_paths(scene: RoadScene) -> tuple[Traffic, Traffic]:
+def positions_and_speeds(scene: RoadScene) -> tuple[Traffic, Traffic]:
     """Return positions and speeds of others along their paths now [m, m/s]."""
     s, _, heading, speed = jnp.asarray(scene.states).T
     return s, speed * jnp.where(scene.moving, 1.0, jnp.cos(heading))
 
 
-def aside(scene: RoadScene, times: Steps) -> EachStep:
-    """Return the lateral positions of others on their paths; cars that drive return to
-    the middle.
+def lateral_positions(scene: RoadScene, times: Steps) -> EachStep:
+    """Return the lateral positions of others on their paths [traffic, steps].
 
-    A crashed car slides along its heading and slows down by ``v' = -v``.
+    A car that drives returns to the middle of its path like a critically damped spring,
+    ``d = (d_0 + (d_0' + d_0 / T) t) exp(-t / T)``. A crashed car slides along its
+    heading and slows down by ``v' = -v``.
     """
-    _, now, heading, speed = scene.states.T[..., None]
-    sideways = speed * jnp.sin(heading)
-    settles = (now + (sideways + now / PATH_TIME) * times) * jnp.exp(-times / PATH_TIME)
-    return jnp.where(
-        scene.moving[:, None], settles, now + sideways * (1 - jnp.exp(-times))
-    )
+    _, present, heading, speed = scene.states.T[..., None]
+    lateral_speed = speed * jnp.sin(heading)
+    rate = lateral_speed + present / PREDICTION.path_time
+    returning = (present + rate * times) * jnp.exp(-times / PREDICTION.path_time)
+    sliding = present + lateral_speed * (1 - jnp.exp(-times))
+    return jnp.where(scene.moving[:, None], returning, sliding)
 
 
-def follow_all(
-    now: Situation, where: Pose, along: Traffic, speeds: Traffic, robot: Car
-) -> Traffic:
+def traffic_motion(
+    situation: Situation, along: Traffic, across: Traffic, speed: Traffic
+) -> TrafficMotion:
+    """Return the motion of others at positions on their paths.
+
+    Args:
+        situation: what all plans share.
+        along: positions along their paths [m].
+        across: lateral positions on their paths [m].
+        speed: along their paths [m/s].
+    """
+    s, d, cosine = situation.paths.at(along, across)
+    return TrafficMotion(along, s, d, speed, cosine)
+
+
+def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traffic:
     """Return the accelerations of others that follow the car ahead on their path, and
     the robot in their lane.
 
     They desire their present speed, or the limit if they are much slower.
 
     Args:
-        now: the situation.
-        where: positions of the others, see `ms_highway.road.traffic.Ways.at`.
-        along: positions of the others on their paths [m].
-        speeds: of the others [m/s].
+        situation: what all plans share.
+        traffic: where the others are.
         robot: state of the robot.
     """
-    scene, (s, d, _, speed) = now.scene, robot
-    first, _, _, desired = jnp.asarray(scene.states).T
-    desired = jnp.where(desired < SLOW_SHARE * scene.limits, scene.limits, desired)
-    moved = along - first
-    ahead = s + scene.size[0] / 2 - where[0]
-    gaps = jnp.where(
+    scene = situation.scene
+    s, d, _, robot_speed = robot
+    first_along, _, _, first_speed = jnp.asarray(scene.states).T
+    is_slow = first_speed < PREDICTION.slow_share * scene.limits
+    desired = jnp.where(is_slow, scene.limits, first_speed)
+
+    # The gap to the leader on the same path changes by how far both have moved.
+    moved = traffic.along - first_along
+    gap_to_leader = jnp.where(
         scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP
     )
-    in_lane = jnp.abs(where[1] - d) < scene.reach[:, 1] + ROOM
-    behind = jnp.where(
-        (ahead > 0) & in_lane & (where[2] > SAME_WAY_COSINE), ahead, FREE_GAP
+    behind_leader = HIGHWAY_ENV_IDM.acceleration(
+        traffic.speed, desired, gap_to_leader, traffic.speed[scene.leaders]
     )
-    idm = HIGHWAY_ENV_IDM
-    by_leader = idm.acceleration(speeds, desired, gaps, speeds[scene.leaders])
-    by_robot = idm.acceleration(speeds, desired, behind, speed)
-    return jnp.minimum(by_leader, by_robot)
+
+    # The gap to the robot, where it drives ahead in the same lane.
+    distance = s + scene.size[0] / 2 - traffic.s
+    in_lane = jnp.abs(traffic.d - d) < scene.reach[:, 1] + PASSING_GAP
+    follows_robot = (distance > 0) & in_lane & (traffic.cosine > COSINES.follows)
+    gap_to_robot = jnp.where(follows_robot, distance, FREE_GAP)
+    behind_robot = HIGHWAY_ENV_IDM.acceleration(
+        traffic.speed, desired, gap_to_robot, robot_speed
+    )
+    return jnp.minimum(behind_leader, behind_robot)
 
 
-def accelerations_now(now: Situation) -> Traffic:
+def present_accelerations(situation: Situation) -> Traffic:
     """Return the present accelerations by the Intelligent Driver Model: the least on
     all paths of a car.
     """
-    scene, (along, across, _, speeds) = now.scene, jnp.asarray(now.scene.states).T
-    each = follow_all(
-        now, now.ways.at(along, across), along, speeds, jnp.asarray(scene.robot)
-    )
-    same = scene.owners[:, None] == scene.owners
-    return jnp.maximum(
-        jnp.where(same, each, jnp.inf).min(axis=1), -speeds / now.planning.time_step
-    )
+    scene = situation.scene
+    along, across, _, speed = jnp.asarray(scene.states).T
+    traffic = traffic_motion(situation, along, across, speed)
+    on_each_path = follow_all(situation, traffic, jnp.asarray(scene.robot))
+    is_same_car = scene.owners[:, None] == scene.owners
+    least = jnp.where(is_same_car, on_each_path, jnp.inf).min(axis=1)
+    return jnp.maximum(least, -speed / situation.planning.time_step)
 
 
 def move_traffic(
-    now: Situation,
+    situation: Situation,
     behaviour: Behaviour,
     rows: Steps,
-    where: Pose,
-    along: Traffic,
-    speeds: Traffic,
+    traffic: TrafficMotion,
     robot: Car,
 ) -> tuple[Traffic, Traffic]:
     """Return positions and speeds of others along their paths one time step later.
 
     Args:
-        now: the situation.
+        situation: what all plans share.
         behaviour: of the others.
         rows: their given accelerations, residuals and limits in this step [3, traffic].
-        where: see `follow_all`.
-        along: see `follow_all`.
-        speeds: see `follow_all`.
-        robot: see `follow_all`.
+        traffic: where the others are.
+        robot: state of the robot.
     """
-    (given, residual, limit), dt = rows, now.planning.time_step
-    modelled = jnp.where(
-        behaviour.follows, follow_all(now, where, along, speeds, robot), given
-    )
+    scene = situation.scene
+    dt = situation.planning.time_step
+    given, residual, limit = rows
+
+    following = follow_all(situation, traffic, robot)
+    modelled = jnp.where(behaviour.follows, following, given)
+    corrected = jnp.minimum(modelled + residual, limit)
     hardest = TRAFFIC_LIMITS.braking
-    acceleration = jnp.minimum(modelled + residual, limit)
-    acceleration = jnp.clip(acceleration, -hardest, hardest)
-    acceleration = jnp.where(
-        now.scene.moving, acceleration, -speeds
-    )  # crashed cars slide to a stop
-    rolls = (
-        along_paths(now.scene)[1] < -REVERSING_SPEED
-    )  # these may roll on; the others stop at most
-    acceleration = jnp.maximum(acceleration, jnp.where(rolls, -jnp.inf, -speeds / dt))
-    return along + speeds * dt, speeds + acceleration * dt
+    acceleration = jnp.clip(corrected, -hardest, hardest)
+
+    # Crashed cars slide to a stop, v' = -v. Cars that roll backwards may roll on; the
+    # others stop at most.
+    acceleration = jnp.where(scene.moving, acceleration, -traffic.speed)
+    rolls = positions_and_speeds(scene)[1] < -PREDICTION.rolling_speed
+    lowest = jnp.where(rolls, -jnp.inf, -traffic.speed / dt)
+    acceleration = jnp.maximum(acceleration, lowest)
+    return traffic.along + traffic.speed * dt, traffic.speed + acceleration * dt

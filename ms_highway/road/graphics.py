@@ -10,8 +10,8 @@ import numpy as np
 import pygame
 
 from ms_highway.envs.viewer import INK, PAPER, Viewer, model_color, words
-from ms_highway.road.constants import MODELS
 from ms_highway.road.driver import RoadStep
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 PANEL, SIZE, GAP = (
     24,
@@ -82,7 +82,7 @@ class RoadViewer(Viewer):
         known = list(ego.road_memory.numbers)
         predictions = np.asarray(step.humans, dtype=float)
         predicted = [
-            (MODELS.index(rung), known[owner], path)
+            (TRAFFIC_MODELS.index(rung), known[owner], path)
             for rung, owner, path in zip(
                 step.models, step.owners, predictions, strict=True
             )
@@ -91,7 +91,7 @@ class RoadViewer(Viewer):
         for rung, car, path in sorted(
             predicted, key=itemgetter(0)
         ):  # the most expensive rung colours its car last
-            color = model_color(MODELS[rung])
+            color = model_color(TRAFFIC_MODELS[rung])
             if not car.crashed:
                 pygame.draw.polygon(
                     surface,

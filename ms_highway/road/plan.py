@@ -14,16 +14,19 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Traffic
-from ms_highway.road.best_responses import ACCELERATION_UNIT, commuter_among
-from ms_highway.road.constants import TOM, RoadPlanning, RoadWeights
+from ms_highway.road.best_responses import RESPONSES, commuter_among
 from ms_highway.road.following import Behaviour, behaviour_of
-from ms_highway.road.proposals import PROPOSALS, LastPlan, Profiles, proposals
-from ms_highway.road.score import Scores, score
-from ms_highway.road.simulation import DrivenPlans, simulate
+from ms_highway.road.proposals import PROFILES, LastPlan, Profiles, proposals
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.road_weights import RoadWeights
+from ms_highway.road.score import CONSTRAINTS, Scores, score
+from ms_highway.road.simulation import SimulatedPlans, simulate
 from ms_highway.road.traffic import Situation, situation_of
+from ms_highway.road.traffic_models import ModelNumber
 from ms_highway.runtime.arrays import Controls, Flag, Index, Numbers, for_each
 
-WITH_RESPONSES = 4  # best proposals, to which others respond
+ANSWERED = 4
+"""Number of the best proposals, to which others respond; each costs computation."""
 
 
 class ScoredPlans(NamedTuple):
@@ -32,13 +35,13 @@ class ScoredPlans(NamedTuple):
     Attributes:
         numbers: of the proposals.
         plans: the proposals.
-        driven: how they turn out.
+        simulated: how they turn out.
         scores: what they earn.
     """
 
     numbers: Places
     plans: Profiles
-    driven: DrivenPlans
+    simulated: SimulatedPlans
     scores: Scores
 
 
@@ -71,15 +74,15 @@ class Proposed(NamedTuple):
     """The best proposals if nobody optimises.
 
     Attributes:
-        now: the situation.
-        few: the `WITH_RESPONSES` best proposals.
+        situation: what all plans share.
+        best_few: the `ANSWERED` best proposals.
         worth: upper bound on the gain from a better prediction of each car: how much
             more the best plan would earn if that car cost nothing.
         plan: the best of all proposals.
     """
 
-    now: Situation
-    few: ScoredPlans
+    situation: Situation
+    best_few: ScoredPlans
     worth: Traffic
     plan: RoadPlan
 
@@ -112,18 +115,23 @@ def propose_road(
             speed, otherwise they follow.
         last: the rest of the last plan.
     """
-    now = situation_of(scene, planning, weights)
+    situation = situation_of(scene, planning, weights)
+    count = len(PROFILES)
     scored = _scored(
-        now,
-        behaviour_of(now, models, PROPOSALS),
-        jnp.arange(PROPOSALS),
-        proposals(now, last),
+        situation,
+        behaviour_of(situation, models, count),
+        jnp.arange(count),
+        proposals(situation, last),
     )
+
+    # What the best plan would earn more if each car cost nothing.
     total = scored.scores.total
-    worth = (total[:, None] + scored.scores.responsive).max(axis=0) - total.max()
-    _, best = jax.lax.top_k(scored.scores.preference, WITH_RESPONSES)
-    few = jax.tree.map(lambda field: field[best], scored)
-    return Proposed(now, few, worth, _best(now, few, few))
+    without_car = total[:, None] + scored.scores.responsive
+    worth = without_car.max(axis=0) - total.max()
+
+    _, best = jax.lax.top_k(scored.scores.preference, ANSWERED)
+    best_few = jax.tree.map(lambda field: field[best], scored)
+    return Proposed(situation, best_few, worth, _best(best_few, best_few))
 
 
 def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
@@ -134,60 +142,65 @@ def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
         proposed: the proposals, scored with others that keep their speed or follow.
         models: number of the model of each of the others.
     """
-    now = proposed.now
-    few = proposed.few
-    optimises = (models == TOM) & now.scene.moving
-    behaviour = behaviour_of(now, models, WITH_RESPONSES)
+    situation = proposed.situation
+    best_few = proposed.best_few
+    optimises = (models == ModelNumber.tom) & situation.scene.moving
+    behaviour = behaviour_of(situation, models, ANSWERED)
     behaviour = behaviour._replace(
         follows=behaviour.follows & ~optimises,
-        accelerations=_best_responses(now, optimises, few.driven),
+        accelerations=_best_responses(situation, optimises, best_few.simulated),
     )
-    return _best(now, few, _scored(now, behaviour, few.numbers, few.plans))
+    responded = _scored(situation, behaviour, best_few.numbers, best_few.plans)
+    return _best(best_few, responded)
 
 
 def _scored(
-    now: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles
+    situation: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles
 ) -> ScoredPlans:
     """Simulate plans among others that behave in a given way, and score them."""
-    driven = simulate(now, behaviour, plans)
-    return ScoredPlans(numbers, plans, driven, score(now, driven, plans))
+    simulated = simulate(situation, behaviour, plans)
+    return ScoredPlans(numbers, plans, simulated, score(situation, simulated, plans))
 
 
-def _best(now: Situation, few: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
+def _best(followed: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
     """Return the best plan; plans that collide if others merely follow rank behind
     those that do not.
+
+    Args:
+        followed: the plans among others that merely follow.
+        responded: the same plans among others that respond.
     """
-    relies = few.scores.collides & ~responded.scores.broken
-    best = jnp.argmax(responded.scores.preference - now.weights.unsound * relies)
-    number, plan, driven, scores = jax.tree.map(lambda field: field[best], responded)
-    predictions = jnp.swapaxes(driven.world[:, :2], 1, 2)
+    relies_on_response = followed.scores.collides & ~responded.scores.broken
+    preference = responded.scores.preference - CONSTRAINTS.unsound * relies_on_response
+    best = jnp.argmax(preference)
+    number, plan, simulated, scores = jax.tree.map(lambda field: field[best], responded)
     return RoadPlan(
-        driven.controls,
-        driven.path[:3].T,
-        predictions,
-        number,
-        plan.side,
-        scores.broken,
+        simulated.controls,
+        path=simulated.centre[:3].T,
+        predictions=jnp.swapaxes(simulated.world[:, :2], 1, 2),
+        chosen=number,
+        side=plan.side,
+        broken=scores.broken,
     )
 
 
-def _best_responses(now: Situation, optimises: Flags, driven: DrivenPlans) -> EachStep:
+def _best_responses(
+    situation: Situation, optimises: Flags, simulated: SimulatedPlans
+) -> EachStep:
     """Return the accelerations of the others that optimise their reward under each
     plan; 0 for the rest.
     """
-    scene = now.scene
-    planning = now.planning
+    scene = situation.scene
+    planning = situation.planning
 
-    def one(car: Places, found: EachStep) -> EachStep:
-        response = jax.vmap(
-            lambda *all_others: commuter_among(
-                scene, planning, car, *all_others
-            ).best_response()
-        )
-        return found.at[:, car].set(
-            ACCELERATION_UNIT * response(driven.path, driven.world)
-        )
+    def add_response(car: Places, found: EachStep) -> EachStep:
+        """Add the response of a car to each plan."""
 
-    return for_each(
-        optimises, one, jnp.zeros((WITH_RESPONSES, len(optimises), planning.steps))
-    )
+        def respond(robot: Numbers, others: Numbers) -> Numbers:
+            return commuter_among(scene, planning, car, robot, others).best_response()
+
+        scaled = jax.vmap(respond)(simulated.centre, simulated.world)
+        return found.at[:, car].set(RESPONSES.acceleration_unit * scaled)
+
+    none = jnp.zeros((ANSWERED, len(optimises), planning.steps))
+    return for_each(optimises, add_response, none)

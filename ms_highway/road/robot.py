@@ -5,7 +5,7 @@ its grip in every frame.
 from cmath import phase, rect
 from collections.abc import Sequence
 from math import asin, atan, cos, sin, sqrt, tan
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Road, Route
@@ -18,22 +18,13 @@ from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
 from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver, RoadStep
-from ms_highway.road.simulation import MAX_SLIP_SINE
+from ms_highway.road.simulation import GRIP_USE
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.planning import at_constant_speed
 
-PERIOD = 0.2
-"""Time between two plans [s], rounded to frames of the simulation."""
-
-GRIP = 5.0
-"""Largest total acceleration, by default [m/s^2]."""
-
-GRIP_MARGIN = 0.98
-"""Share of the grip that the robot uses."""
-
-MAX_SLIP = 1.1  # rad, largest slip angle
-ANY_TURN = 3.2  # rad, more than any turn: the limit where a car hardly moves
+LARGEST_SLIP = 1.1
+"""Largest slip angle, just below that of `GripUse.largest_slip_sine` [rad]."""
 
 
 def steering_of(curvature: float, length: float) -> float:
@@ -47,7 +38,9 @@ def steering_of(curvature: float, length: float) -> float:
 
 
 def _slip(curvature: float, length: float) -> float:
-    return asin(min(max(curvature * length / 2, -MAX_SLIP_SINE), MAX_SLIP_SINE))
+    """Return the slip angle of the centre [rad]."""
+    largest = GRIP_USE.largest_slip_sine
+    return asin(min(max(curvature * length / 2, -largest), largest))
 
 
 def keep_grip(
@@ -72,39 +65,52 @@ def keep_grip(
         grip: largest total acceleration [m/s^2].
     """
     curvature, acceleration = map(float, wanted)
-    most = grip * dt
-    turn = ANY_TURN
+    largest_change = grip * dt  # of the velocity [m/s]
+
+    # The velocity of the centre turns by at most so much that it changes by
+    # `largest_change`; a car that hardly moves may turn by any angle. Its angle to the
+    # heading is the slip angle.
+    turn = 3.2
     product = 2 * speed * abs(before)
     if product >= 1e-9:
-        turn = float(
-            np.arccos(
-                np.clip((speed**2 + abs(before) ** 2 - most**2) / product, -1.0, 1.0)
-            )
-        )
-    left, right = np.clip(
-        [phase(before) - turn, phase(before) + turn], -MAX_SLIP, MAX_SLIP
+        cosine = (speed**2 + abs(before) ** 2 - largest_change**2) / product
+        turn = float(np.arccos(np.clip(cosine, -1.0, 1.0)))
+    slip_left, slip_right = np.clip(
+        [phase(before) - turn, phase(before) + turn], -LARGEST_SLIP, LARGEST_SLIP
     )
-    sharpest = min(grip / max(speed, 1e-3) ** 2, 2 * MAX_SLIP_SINE / length)
-    curvature = min(max(curvature, 2 * sin(left) / length), 2 * sin(right) / length)
+    leftmost = 2 * sin(slip_left) / length
+    rightmost = 2 * sin(slip_right) / length
+    curvature = min(max(curvature, leftmost), rightmost)
+
+    # The lateral acceleration is within the grip.
+    by_grip = grip / max(speed, 1e-3) ** 2
+    sharpest = min(by_grip, 2 * GRIP_USE.largest_slip_sine / length)
     curvature = min(max(curvature, -sharpest), sharpest)
-    most_along = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))
+
+    # The acceleration takes what is left of the grip, and does not reverse the car.
+    hardest = sqrt(max(grip**2 - (speed**2 * curvature) ** 2, 0.0))
+
+    # The velocity along the heading changes by at most `largest_change`.
     angle = speed * curvature * dt
-    room = sqrt(max(most**2 - (speed * sin(angle)) ** 2, 0.0))
+    room = sqrt(max(largest_change**2 - (speed * sin(angle)) ** 2, 0.0))
     slowest = speed * cos(angle) - room
     fastest = speed * cos(angle) + room
-    lowest = max(-most_along, (max(slowest, 0.0) - speed) / dt, -speed / dt)
-    return curvature, min(max(acceleration, lowest), most_along, (fastest - speed) / dt)
+    lowest = max(-hardest, (max(slowest, 0.0) - speed) / dt, -speed / dt)
+    return curvature, min(max(acceleration, lowest), hardest, (fastest - speed) / dt)
 
 
 class RoadRobot(OfferedSpeeds, Vehicle):
     """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act;
     it ignores all actions.
 
-    It plans every `PERIOD` and holds the control in between, within its grip in every
+    It plans every `period` and holds the control in between, within its grip in every
     frame. It has every attribute that rewards and rules of highway-env's environments
     read from a controlled car.
 
     Attributes:
+        period: time between two plans [s], rounded to frames of the simulation.
+        grip_share: share of the grip that the robot uses.
+        usual_grip: largest total acceleration by default [m/s^2].
         driver: makes the plans; without one, the car keeps its velocity.
         goal: node of the road network to drive to, a goal in time, or None.
         goal_place: node of the road network or spot on a lane where the goal is, or
@@ -122,8 +128,12 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         accelerations: the largest of three total accelerations in each frame since
             `forget`: of the control, and of the change of velocity with and without
             slip [m/s^2].
-        jerks: mean jerk over the last `PERIOD`, in each frame since `forget` [m/s^3].
+        jerks: mean jerk over the last `period`, in each frame since `forget` [m/s^3].
     """
+
+    period: ClassVar[float] = 0.2
+    grip_share: ClassVar[float] = 0.98
+    usual_grip: ClassVar[float] = 5.0
 
     action: dict[str, float]
 
@@ -139,14 +149,13 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.last_step: RoadStep | None = None
         self.applied = (0.0, 0.0)
         self._wanted = np.zeros(2)
-        self._before: complex | None = (
-            None  # velocity of the centre in the last frame, slip included
-        )
         self._elapsed = np.inf
-        self.frame = PERIOD
-        self._executed: list[
-            complex
-        ] = []  # accelerations within the last period, lateral ones as imaginary parts
+        self.frame = self.period
+
+        # Velocity of the centre in the last frame, slip included.
+        self._before: complex | None = None
+        # Accelerations within the last period, lateral ones as imaginary parts.
+        self._executed: list[complex] = []
         self.drive_with(None)
         self.forget()
 
@@ -163,7 +172,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self,
         driver: RoadDriver | AddedRoadDriver | None,
         goal: RobotGoal = None,
-        grip: float = GRIP,
+        grip: float = usual_grip,
         intentions: bool = False,
     ) -> None:
         """Let a driver drive to a goal; see the attributes for the arguments."""
@@ -173,10 +182,8 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self.grip = grip
         self.intentions = intentions
         self.time = 0.0
-        if isinstance(
-            driver, AddedRoadDriver
-        ):  # which straightens the road along the robot's way
-            driver.robot = self
+        if isinstance(driver, AddedRoadDriver):
+            driver.robot = self  # along whose way it straightens the road
 
     def forget(self) -> None:
         """Forget the record of steps and frames."""
@@ -191,14 +198,15 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     def act(self, action: dict[str, Any] | str | None = None) -> None:
         """Plan if a plan is due; ignore actions."""
-        due = self._elapsed + self.frame / 2 >= PERIOD
-        if action is None and self.driver is not None and due and not self.crashed:
-            if isinstance(self.goal, TimedGoal):
-                self.goal.guide(self.driver, self, self.time)
-            self.last_step = self.driver.step(self.look())
-            self.steps.append(self.last_step)
-            self._wanted = np.asarray(self.last_step.control, dtype=float)
-            self._elapsed = 0.0
+        is_due = self._elapsed + self.frame / 2 >= self.period
+        if action is not None or self.driver is None or not is_due or self.crashed:
+            return
+        if isinstance(self.goal, TimedGoal):
+            self.goal.guide(self.driver, self, self.time)
+        self.last_step = self.driver.step(self.look())
+        self.steps.append(self.last_step)
+        self._wanted = np.asarray(self.last_step.control, dtype=float)
+        self._elapsed = 0.0
 
     def step(self, dt: float) -> None:
         """Move for ``dt`` seconds within the grip; after a crash, move like
@@ -210,27 +218,37 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             super().step(dt)
             self.actions.append(dict(self.action))
             return
+
+        # The wanted control within the grip.
         speed = self.speed
-        now = self._along_heading()
-        before = now if self._before is None else self._before
-        towards = before * rect(1.0, -self.heading)
-        curvature, along = keep_grip(
-            self._wanted, speed, towards, self.LENGTH, dt, GRIP_MARGIN * self.grip
+        along_heading = self._along_heading()
+        before = along_heading if self._before is None else self._before
+        relative = before * rect(1.0, -self.heading)
+        grip = self.grip_share * self.grip
+        curvature, acceleration = keep_grip(
+            self._wanted, speed, relative, self.LENGTH, dt, grip
         )
-        self.applied = curvature, along
+
+        # Move.
+        self.applied = curvature, acceleration
         self.action = {
             "steering": steering_of(curvature, self.LENGTH),
-            "acceleration": along,
+            "acceleration": acceleration,
         }
         super().step(dt)
-        self.actions.append(dict(self.action))
-        self._before = now * rect(1.0, _slip(curvature, self.LENGTH))
+        self._before = along_heading * rect(1.0, _slip(curvature, self.LENGTH))
         self._elapsed = self._elapsed + dt
         self.frame = dt
-        changed = max(abs(self._before - before), abs(self._along_heading() - now))
-        executed = complex(along, speed**2 * curvature)
+
+        # Record the frame.
+        self.actions.append(dict(self.action))
+        change_of_centre = abs(self._before - before)
+        change_along_heading = abs(self._along_heading() - along_heading)
+        changed = max(change_of_centre, change_along_heading)
+        executed = complex(acceleration, speed**2 * curvature)
         self.accelerations.append(max(abs(executed), changed / dt))
-        self._executed = [*self._executed, executed][-round(PERIOD / dt + 1) :]
+        frames = round(self.period / dt + 1)
+        self._executed = [*self._executed, executed][-frames:]
         span = dt * max(len(self._executed) - 1, 1)
         self.jerks.append(abs(executed - self._executed[0]) / span)
 

@@ -1,5 +1,6 @@
 """Score proposals: compute what they earn, and which constraints they break."""
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from jax import numpy as jnp
@@ -16,14 +17,13 @@ from ms_highway.perception.scene import (
     Plans,
     World,
 )
-from ms_highway.road.constants import RoadWeights
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.simulation import DrivenPlans, earlier
-from ms_highway.road.swing import aside_of
+from ms_highway.road.simulation import SimulatedPlans, earlier
+from ms_highway.road.swing import lateral_position
 from ms_highway.road.terminal_value import terminal_value
 from ms_highway.road.traffic import (
+    COSINES,
     CROSSING,
-    SAME_WAY,
     STANDING_SPEED,
     Situation,
     highest,
@@ -31,6 +31,90 @@ from ms_highway.road.traffic import (
     lowest,
 )
 from ms_highway.runtime.arrays import Numbers
+
+
+@dataclass(frozen=True)
+class ConstraintSettings:
+    """Set what breaks a constraint, and how much worse such plans rank."""
+
+    unsound: float = 1e3
+    """Cost of a broken constraint; it exceeds whatever else plans earn or cost."""
+    off_road_impact: float = 10.0
+    """Speed of an impact that is as bad as leaving the road [m/s]."""
+    off_road_tolerance: float = 0.1
+    """Increase of the distance off the road that counts as leaving it [m]."""
+    margin: float = 0.35
+    """Distance between bodies that counts as a collision: predictions err by this much
+    in a step [m].
+    """
+    wreck_margin: float = 0.6
+    """The same to obstacles, which plans pass in steps of 0.2 s [m]."""
+    certain_time: float = 1.6
+    """Time up to which predicted collisions count even if the plan could still stop
+    [s].
+    """
+    replanned_step: int = 1
+    """First step from which a plan must be able to stop before a crossing; the next
+    plan starts there.
+    """
+
+
+CONSTRAINTS = ConstraintSettings()
+
+
+@dataclass(frozen=True)
+class PredictionErrors:
+    """Set how far others may deviate from their prediction."""
+
+    discount: float = 0.95
+    """Factor per step by which expected costs shrink, as predictions get worse."""
+    arrival_time: float = 0.08
+    """Time by which crossing cars may arrive earlier or later than predicted [s]."""
+    arrival_distance: float = 0.5
+    """The same as a distance, also for slow cars [m]."""
+    acceleration: float = 6.0
+    """Acceleration by which others may deviate [m/s^2]."""
+
+
+ERRORS = PredictionErrors()
+
+
+@dataclass(frozen=True)
+class FollowerSettings:
+    """Set what the robot owes to the cars behind it."""
+
+    tolerated_braking: float = 1.5
+    """Braking of others that costs nothing, as when a driver lifts off the accelerator
+    [m/s^2].
+    """
+    lane_change_offset: float = 0.5
+    """Lateral offset from which a lane change has begun [m]."""
+    behind: float = 1.0
+    """Distance behind the robot's rear axle from which on a car is behind it [m]."""
+
+
+FOLLOWERS = FollowerSettings()
+
+
+@dataclass(frozen=True)
+class BlockedCrossing:
+    """Set when a robot that stands on a crossing blocks a crossing car."""
+
+    clearance: float = 1.0
+    """Distance before and behind the robot to crossing cars [m]."""
+    time_horizon: float = 6.0
+    """Crossing cars that arrive later do not count [s]."""
+    time_gap: float = 0.5
+    """Least time between the robot's leaving a crossing and the arrival of the next car
+    [s].
+    """
+    speeding_up: float = 1.0
+    """Excess of the robot's later speed over that at the end of the plan [m/s]."""
+    lowest_speed: float = 1.0
+    """Lowest speed at which crossing cars are expected to arrive [m/s]."""
+
+
+BLOCKED_CROSSING = BlockedCrossing()
 
 
 class Scores(NamedTuple):
@@ -70,9 +154,8 @@ class Scores(NamedTuple):
         faults = jnp.where(
             self.impact > 0, 2 + self.impact, self.broken + self.intrusion
         )
-        return self.total - RoadWeights.unsound * (
-            faults + RoadWeights.off_road_impact * self.leaves
-        )
+        off_road = CONSTRAINTS.off_road_impact * self.leaves
+        return self.total - CONSTRAINTS.unsound * (faults + off_road)
 
     @property
     def collides(self) -> PlanFlags:
@@ -85,85 +168,109 @@ class Scores(NamedTuple):
         return self.collides | self.leaves | (self.missing > 0)
 
 
-def score(now: Situation, driven: DrivenPlans, plans: Profiles) -> Scores:
+def score(situation: Situation, simulated: SimulatedPlans, plans: Profiles) -> Scores:
     """Score simulated plans."""
     lanes = plans.lane
-    scene = now.scene
-    planning = now.planning
-    weights = now.weights
+    scene = situation.scene
+    planning = situation.planning
+    weights = situation.weights
     desired = planning.desired_speed
-    s, d, _, speed = jnp.moveaxis(driven.states, -1, 0)
-    goal = lane_of(scene.lanes, lanes, s)
-    off_speed = jnp.abs(speed - jnp.minimum(interpolate(now.caps, s), desired))
-    aside = d - interpolate(now.inside, s) - goal
+    s, d, _, speed = jnp.moveaxis(simulated.states, -1, 0)  # each [plans, steps]
+
+    # What a plan earns in each second: speed, the middle of its lane, and comfort.
+    allowed = jnp.minimum(interpolate(situation.speed_caps, s), desired)
+    speed_error = jnp.abs(speed - allowed)
+    lane_centre = lane_of(scene.lanes, lanes, s)
+    off_centre = d - interpolate(situation.inward_shift, s) - lane_centre
     per_second = (
-        weights.speed * (1 - off_speed / desired)
-        - weights.centre * aside**2
-        - _discomfort(now, driven)
+        weights.speed * (1 - speed_error / desired)
+        - weights.centre * off_centre**2
+        - _discomfort(situation, simulated)
     )
-    closed = (lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5) & (lanes != 1)
-    closed = closed | (
-        (plans.side != 0) & ~now.obstruction.exists
-    )  # there is no obstacle to pass
-    leaves = _leaves(now, driven)
-    off_road = weights.off_road * (leaves.astype(float) + closed)
-    others, intrusion, impact = _collisions(now, driven, lanes)
-    own, after, missing = terminal_value(now, driven, plans)
+
+    # Closed are other lanes that end, and the way round an obstacle where there is
+    # none.
+    ends = lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5
+    is_closed = ends & (lanes != 1)
+    is_closed = is_closed | ((plans.side != 0) & ~situation.obstruction.exists)
+    leaves = _leaves(situation, simulated)
+    off_road = weights.off_road * (leaves.astype(float) + is_closed)
+
+    collisions = _collisions(situation, simulated, lanes)
+    terminal = terminal_value(situation, simulated, plans)
     return Scores(
-        own=planning.time_step * per_second.sum(axis=1) - off_road + own,
-        others=others + after,
-        responsive=jnp.where(now.leading, 0.0, others),
-        intrusion=intrusion,
-        impact=impact,
-        leaves=leaves | closed,
-        missing=missing.max(axis=1),
+        own=planning.time_step * per_second.sum(axis=1) - off_road + terminal.own,
+        others=collisions.cost + terminal.others,
+        responsive=jnp.where(situation.leading, 0.0, collisions.cost),
+        intrusion=collisions.intrusion,
+        impact=collisions.impact,
+        leaves=leaves | is_closed,
+        missing=terminal.missing_room.max(axis=1),
     )
 
 
-def _discomfort(now: Situation, driven: DrivenPlans) -> EachStep:
-    """Return the cost of acceleration and jerk after each step."""
-    scene, weights, (curvature, acceleration) = (
-        now.scene,
-        now.weights,
-        jnp.moveaxis(driven.controls, -1, 0),
-    )
-    squared = earlier(scene.robot[3], driven.states[..., 3]) ** 2
-    lateral = squared * curvature
-    bend = interpolate(scene.route.curvature, driven.states[..., 0])
-    before = (
-        earlier(scene.robot[3] ** 2 * scene.applied[0], lateral),
-        earlier(scene.applied[1], acceleration),
-    )
-    jerk = (
-        (lateral - before[0]) ** 2 + (acceleration - before[1]) ** 2
-    ) / now.planning.time_step**2
-    return (
-        weights.acceleration * (acceleration**2 + (lateral - squared * bend) ** 2)
-        + weights.jerk * jerk
-    )
+def _discomfort(situation: Situation, simulated: SimulatedPlans) -> EachStep:
+    """Return the cost of acceleration and jerk after each step [plans, steps].
+
+    Lateral acceleration on the road's own bend costs nothing.
+    """
+    scene = situation.scene
+    weights = situation.weights
+    curvature, acceleration = jnp.moveaxis(simulated.controls, -1, 0)
+
+    squared_speed = earlier(scene.robot[3], simulated.states[..., 3]) ** 2
+    lateral = squared_speed * curvature
+    bend = interpolate(scene.route.curvature, simulated.states[..., 0])
+    squared = acceleration**2 + (lateral - squared_speed * bend) ** 2
+
+    last_lateral = earlier(scene.robot[3] ** 2 * scene.applied[0], lateral)
+    last_acceleration = earlier(scene.applied[1], acceleration)
+    change = (lateral - last_lateral) ** 2 + (acceleration - last_acceleration) ** 2
+    squared_jerk = change / situation.planning.time_step**2
+    return weights.acceleration * squared + weights.jerk * squared_jerk
 
 
-def _leaves(now: Situation, driven: DrivenPlans) -> PlanFlags:
+def _leaves(situation: Situation, simulated: SimulatedPlans) -> PlanFlags:
     """Return whether plans leave the road farther than in their first step, which they
     cannot change.
     """
-    scene = now.scene
+    scene = situation.scene
+    states = simulated.states
     length, width = scene.size
-    left, right = interpolate(scene.edges, driven.states[..., 0] + length / 2)
-    places = [
-        (ahead, side) for ahead in (0.0, length) for side in (-width / 2, width / 2)
-    ]
+    left_edge, right_edge = interpolate(scene.edges, states[..., 0] + length / 2)
+
+    # Lateral positions of the four corners, [corners, plans, steps].
     corners = jnp.stack(
-        [aside_of(scene, driven.states, ahead, side) for ahead, side in places]
+        [
+            lateral_position(scene, states, 0.0, -width / 2),
+            lateral_position(scene, states, 0.0, width / 2),
+            lateral_position(scene, states, length, -width / 2),
+            lateral_position(scene, states, length, width / 2),
+        ]
     )
-    beyond = jnp.maximum(left - corners.min(axis=0), corners.max(axis=0) - right)
-    beyond = jnp.maximum(beyond, 0.0)
-    return (beyond > beyond[:, :1] + now.weights.off_road_tolerance).any(axis=1)
+    beyond_left = left_edge - corners.min(axis=0)
+    beyond_right = corners.max(axis=0) - right_edge
+    beyond = jnp.maximum(jnp.maximum(beyond_left, beyond_right), 0.0)
+    return (beyond > beyond[:, :1] + CONSTRAINTS.off_road_tolerance).any(axis=1)
+
+
+class Collisions(NamedTuple):
+    """How plans get along with others.
+
+    Attributes:
+        cost: of the nearness of each car.
+        intrusion: depth of the plan in the margin around others [m].
+        impact: highest relative speed at an unavoidable collision [m/s].
+    """
+
+    cost: EachCar
+    intrusion: Plans
+    impact: Plans
 
 
 def _collisions(
-    now: Situation, driven: DrivenPlans, lanes: PlanLanes
-) -> tuple[EachCar, Plans, Plans]:
+    situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
+) -> Collisions:
     """Return the cost of the nearness of each car, the depth of plans in margins, and
     the speed of impacts.
 
@@ -171,58 +278,103 @@ def _collisions(
     collisions with that car cost less and break no constraint, because the robot will
     plan again. The speed of an impact is the highest relative speed when bodies first
     touch.
+
+    Arrays without another comment are [plans, traffic, steps].
     """
-    scene = now.scene
-    planning = now.planning
-    weights = now.weights
-    speeds = driven.speeds
-    dt, steps, (s, d, _, speed) = (
-        planning.time_step,
-        jnp.arange(planning.steps),
-        driven.robot,
-    )
-    own = _pose(driven.path[:, None])
-    others = _pose(driven.world)
-    # A follower in the robot's lane is ignored as long as both keep this lane, even if
-    # it runs into the robot.
-    behind = driven.s[..., :1] < s[..., :1] - 1.0
-    followed = steps < _first(jnp.abs(driven.d - d) >= scene.size[1])
-    stays = jnp.equal(lanes, 1)[:, None, None] | (
-        steps < _first(jnp.abs(d - scene.robot[1]) >= weights.lane_change_offset)
-    )
-    counts = scene.present[:, None] & ~(
-        behind & followed & (driven.cosine > CROSSING) & stays
-    )
-    clear = jnp.where(
-        counts, separation(own, scene.size, others, _occupied(now, driven)), FREE_GAP
-    )
-    touch = counts & (separation(own, scene.size, others, scene.sizes[:, None]) < 0)
-    onward, sideways = rotated(
-        speeds * jnp.cos(others[2]), speeds * jnp.sin(others[2]), own[2]
-    )
-    relative = jnp.sqrt(jnp.maximum((speed - onward) ** 2 + sideways**2, 1e-4))
-    avoidable = _avoidable(now, driven)
-    binds = ~(avoidable[..., None] & (dt * steps > weights.certain_time))
-    fading = weights.discount**steps * jnp.where(binds, 1.0, weights.avoidable)
-    near = jnp.clip(1 - clear / weights.comfortable, 0.0, 1.0) ** 2
-    braking = (earlier(scene.states[:, 3:], speeds) - speeds) / dt
-    endangered = (driven.s < s) & (speeds > speed)  # the gap to slower followers grows
-    imposed = jnp.where(
-        endangered, jnp.maximum(braking - weights.tolerated_braking, 0.0), 0.0
-    )
-    depth = (
-        jnp.where(scene.moving, weights.margin, weights.wreck_margin)[:, None] - clear
-    )
+    scene = situation.scene
+    weights = situation.weights
+    dt = situation.planning.time_step
+    steps = jnp.arange(situation.planning.steps)
+    own_pose = _pose(simulated.centre[:, None])
+    other_pose = _pose(simulated.world)
+
+    # Distances to the space that others may occupy, and to their bodies.
+    counts = _counts(situation, simulated, lanes)
+    occupied = _occupied(situation, simulated)
+    distance = separation(own_pose, scene.size, other_pose, occupied)
+    distance = jnp.where(counts, distance, FREE_GAP)
+    body_distance = separation(own_pose, scene.size, other_pose, scene.sizes[:, None])
+    touches = counts & (body_distance < 0)
+
+    # Collisions that a later plan can avoid cost less; expected costs fade with time.
+    avoidable = _avoidable(situation, simulated)  # [plans, traffic]
+    binds = ~(avoidable[..., None] & (dt * steps > CONSTRAINTS.certain_time))
+    fading = ERRORS.discount**steps * jnp.where(binds, 1.0, weights.avoidable)
+
+    # Nearness, braking of those behind, collisions, and blocked crossings.
+    near = jnp.clip(1 - distance / weights.comfortable, 0.0, 1.0) ** 2
+    imposed = _imposed_braking(situation, simulated)
+    margin = jnp.where(scene.moving, CONSTRAINTS.margin, CONSTRAINTS.wreck_margin)
+    depth = margin[:, None] - distance
+    collision = jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
+    blocked = blocks(situation, simulated)
     cost = (
         dt * weights.near * jnp.sum(near * fading, axis=-1)
         + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
-        + weights.collision * jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
-        + weights.blocking
-        * blocks(now, driven)
-        * jnp.where(avoidable, weights.avoidable, 1.0)
+        + weights.collision * collision
+        + weights.blocking * blocked * jnp.where(avoidable, weights.avoidable, 1.0)
     )
-    impact = jnp.where((steps == _first(touch)) & binds, relative, 0.0).max(axis=(1, 2))
-    return cost, jnp.where(binds, jnp.maximum(depth, 0.0), 0.0).max(axis=(1, 2)), impact
+
+    intrusion = jnp.where(binds, jnp.maximum(depth, 0.0), 0.0)
+    is_impact = (steps == _first(touches)) & binds
+    relative = _relative_speed(simulated, own_pose[2], other_pose[2])
+    impact = jnp.where(is_impact, relative, 0.0)
+    return Collisions(cost, intrusion.max(axis=(1, 2)), impact.max(axis=(1, 2)))
+
+
+def _counts(
+    situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
+) -> EachFlag:
+    """Return in which steps the robot is to blame for touching each of the others.
+
+    A follower in the robot's lane is ignored as long as both keep this lane, even if it
+    runs into the robot.
+    """
+    scene = situation.scene
+    traffic = simulated.traffic
+    steps = jnp.arange(situation.planning.steps)
+    s, d, *_ = simulated.robot
+
+    is_behind = traffic.s[..., :1] < s[..., :1] - FOLLOWERS.behind
+    is_beside = jnp.abs(traffic.d - d) >= scene.size[1]
+    in_line = steps < _first(is_beside)
+    has_moved = jnp.abs(d - scene.robot[1]) >= FOLLOWERS.lane_change_offset
+    keeps_lane = jnp.equal(lanes, 1)[:, None, None] | (steps < _first(has_moved))
+    follows = is_behind & in_line & (traffic.cosine > COSINES.not_crossing) & keeps_lane
+    return scene.present[:, None] & ~follows
+
+
+def _imposed_braking(situation: Situation, simulated: SimulatedPlans) -> EachStep:
+    """Return the braking that the robot imposes on each car behind it, beyond what
+    drivers tolerate [m/s^2].
+    """
+    s, _, _, speed = simulated.robot
+    other_speed = simulated.traffic.speed
+    last_speed = earlier(situation.scene.states[:, 3:], other_speed)
+    braking = (last_speed - other_speed) / situation.planning.time_step
+
+    # The gap to slower followers grows.
+    closes_in = (simulated.traffic.s < s) & (other_speed > speed)
+    excess = jnp.maximum(braking - FOLLOWERS.tolerated_braking, 0.0)
+    return jnp.where(closes_in, excess, 0.0)
+
+
+def _relative_speed(
+    simulated: SimulatedPlans, own_heading: Numbers, other_heading: Numbers
+) -> EachStep:
+    """Return the speed of others relative to the robot [m/s].
+
+    Args:
+        simulated: the plans.
+        own_heading: of the robot [rad].
+        other_heading: of the others [rad].
+    """
+    _, _, _, speed = simulated.robot
+    other_speed = simulated.traffic.speed
+    x_speed = other_speed * jnp.cos(other_heading)
+    y_speed = other_speed * jnp.sin(other_heading)
+    forward, sideways = rotated(x_speed, y_speed, own_heading)
+    return jnp.sqrt(jnp.maximum((speed - forward) ** 2 + sideways**2, 1e-4))
 
 
 def _pose(world: World) -> Pose:
@@ -238,64 +390,68 @@ def _first(happens: Numbers) -> Numbers:
     return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
 
 
-def _occupied(now: Situation, driven: DrivenPlans) -> EachStep:
+def _occupied(situation: Situation, simulated: SimulatedPlans) -> EachStep:
     """Return length and width of the space that others may occupy [m]: longer for
     crossing cars.
 
     Their time of arrival is uncertain, since they may brake or speed up; their present
     position is known.
     """
-    weights = now.weights
-    times = now.planning.times
-    early = jnp.minimum(
-        weights.arrival_error * driven.speeds + 0.5,
-        weights.acceleration_error * times**2 / 2,
-    )
-    early = jnp.where(
-        (driven.cosine < SAME_WAY) & (driven.speeds > STANDING_SPEED), early, 0.0
-    )
-    lengths, widths = now.scene.sizes.T[..., None]
-    return jnp.stack(
-        [lengths + 2 * early, jnp.broadcast_to(widths, early.shape)], axis=-1
-    )
+    traffic = simulated.traffic
+    times = situation.planning.times
+    by_arrival = ERRORS.arrival_time * traffic.speed + ERRORS.arrival_distance
+    by_acceleration = ERRORS.acceleration * times**2 / 2
+    error = jnp.minimum(by_arrival, by_acceleration)
+    is_crossing = (traffic.cosine < COSINES.same_way) & (traffic.speed > STANDING_SPEED)
+    error = jnp.where(is_crossing, error, 0.0)
+
+    lengths, widths = situation.scene.sizes.T[..., None]
+    widths = jnp.broadcast_to(widths, error.shape)
+    return jnp.stack([lengths + 2 * error, widths], axis=-1)
 
 
-def _avoidable(now: Situation, driven: DrivenPlans) -> EachFlag:
+def _avoidable(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
     """Return whether the robot can still stop before the path of each crossing car
     after the first steps of a plan.
     """
-    s, _, _, speed = driven.robot[..., now.weights.replanned_step]
-    left = now.crossings.line - s - now.scene.size[0]
-    return now.crossings.exist & (
-        left > speed**2 / (2 * now.planning.stopping * now.planning.grip)
-    )
+    planning = situation.planning
+    crossings = situation.crossings
+    s, _, _, speed = simulated.robot[..., CONSTRAINTS.replanned_step]
+    room = crossings.line - s - situation.scene.size[0]
+    needed = speed**2 / (2 * planning.stopping * planning.grip)
+    return crossings.exist & (room > needed)
 
 
-def blocks(now: Situation, driven: DrivenPlans) -> EachFlag:
+def blocks(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
     """Return whether the robot, after a plan, still stands in the way of each crossing
     car when that car arrives.
 
     The car keeps its speed, and the robot goes on a little faster than at the end of
     the plan. Oncoming cars in the robot's lane count in
-    `ms_highway.road.terminal_value.speed_lost`.
+    `ms_highway.road.lost_speed.speed_lost`.
     """
-    scene = now.scene
-    weights = now.weights
-    ways = now.crossings
-    end = driven.end
-    s, d, _, speed = driven.robot[..., -1]
-    rear = s[..., None] - weights.clearance
-    front = s[..., None] + scene.size[0] + weights.clearance
-    across = jnp.abs(ways.d - d[..., None]) < weights.corridor
-    here = across & (ways.s > rear) & (ways.s < front)
-    leaving = (highest(ways.s, across) + weights.clearance - s) / (speed + 1.0)
-    coming = (lowest(ways.places, here) - scene.sizes[:, 0] - end.along) / jnp.maximum(
-        end.speeds, 1.0
-    )
-    comes = end.along < highest(ways.places, here)
+    scene = situation.scene
+    crossings = situation.crossings
+    end = simulated.traffic.last
+    s, d, _, speed = simulated.robot[..., -1]  # each [plans, 1]
+
+    # Places of the crossing on which the robot stands, [plans, traffic, places].
+    clearance = BLOCKED_CROSSING.clearance
+    rear = s[..., None] - clearance
+    front = s[..., None] + scene.size[0] + clearance
+    in_corridor = jnp.abs(crossings.d - d[..., None]) < CROSSING.corridor
+    is_under_robot = in_corridor & (crossings.s > rear) & (crossings.s < front)
+
+    # When the robot has left the crossing, and when the car arrives there.
+    way_out = highest(crossings.s, in_corridor) + clearance - s
+    leaving_time = way_out / (speed + BLOCKED_CROSSING.speeding_up)
+    first_place = lowest(crossings.places, is_under_robot)
+    way_there = first_place - scene.sizes[:, 0] - end.along
+    arrival_time = way_there / jnp.maximum(end.speed, BLOCKED_CROSSING.lowest_speed)
+    has_not_passed = end.along < highest(crossings.places, is_under_robot)
     return (
         scene.moving
-        & comes
-        & (coming < leaving + weights.crossing_time_gap)
-        & (coming < weights.crossing_horizon)
+        & has_not_passed
+        & (arrival_time < leaving_time + BLOCKED_CROSSING.time_gap)
+        & (arrival_time < BLOCKED_CROSSING.time_horizon)
     )

@@ -25,9 +25,10 @@ from ms_highway.loop.controller import HUMAN_DRIVERS, draw_key
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.ladders import human_model
 from ms_highway.road.added import AddedRoadDriver, added_drivers
-from ms_highway.road.constants import MODELS, RoadPlanning
-from ms_highway.road.driver import SHIPPED_COSTS, RoadDriver
-from ms_highway.road.robot import GRIP_MARGIN
+from ms_highway.road.driver import MEASURED_COSTS, RoadDriver
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.robot import RoadRobot
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 from ms_highway.runtime.arrays import PerHuman
 from ms_highway.runtime.limits import NotNegative, Positive
 
@@ -48,7 +49,12 @@ class Bounds(Estimator[PerHuman]):
         return Estimate(gains, jnp.bool(False))
 
 
-DRIVERS = ("priced", "priced:PRICE", "budget:MS", *(f"fixed:{rung}" for rung in MODELS))
+DRIVERS = (
+    "priced",
+    "priced:PRICE",
+    "budget:MS",
+    *(f"fixed:{rung}" for rung in TRAFFIC_MODELS),
+)
 """Values of ``config["driver"]``."""
 
 OptionalPositive = Annotated[
@@ -57,9 +63,7 @@ OptionalPositive = Annotated[
 COSTS = (
     "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
 )
-IN_ORDER = (
-    f"give rungs of {', '.join(MODELS)} in this order, beginning with {MODELS[0]}"
-)
+IN_ORDER = f"give rungs of {', '.join(TRAFFIC_MODELS)} in this order, beginning with {TRAFFIC_MODELS[0]}"
 
 
 class RoadSettings(Struct, frozen=True):
@@ -79,7 +83,7 @@ class RoadSettings(Struct, frozen=True):
             name, 0 where left out. Episodes at a price can be repeated exactly; a
             budget counts the measured time of decisions.
         ladder: rungs to choose from, in the order of
-            `ms_highway.road.constants.MODELS`.
+            `ms_highway.road.traffic_models.TRAFFIC_MODELS`.
         desired_speed: [m/s]; None for the speed that the scene rewards.
         acceleration: largest total acceleration [m/s^2].
         curvature: largest curvature of the path [1/m].
@@ -100,7 +104,7 @@ class RoadSettings(Struct, frozen=True):
     costs: Annotated[
         Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)
     ] = "shipped"
-    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = MODELS
+    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = TRAFFIC_MODELS
     desired_speed: OptionalPositive = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
@@ -120,10 +124,10 @@ class RoadSettings(Struct, frozen=True):
         refuse_unknown(
             "config['costs']",
             self.costs if isinstance(self.costs, dict) else (),
-            MODELS,
+            TRAFFIC_MODELS,
         )
-        if MODELS[0] not in self.ladder or self.ladder != tuple(
-            rung for rung in MODELS if rung in self.ladder
+        if TRAFFIC_MODELS[0] not in self.ladder or self.ladder != tuple(
+            rung for rung in TRAFFIC_MODELS if rung in self.ladder
         ):
             raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
         self._choice()
@@ -173,7 +177,7 @@ class RoadSettings(Struct, frozen=True):
         Of those left, a budget chooses between the first and the last.
 
         Args:
-            costs: of each of `ms_highway.road.constants.MODELS`.
+            costs: of each of `ms_highway.road.traffic_models.TRAFFIC_MODELS`.
         """
         kind, value = self._choice()
         if kind == "fixed":
@@ -204,7 +208,7 @@ class RoadSettings(Struct, frozen=True):
         """
         return RoadPlanning(
             desired_speed=self.desired_speed or desired_speed,
-            grip=GRIP_MARGIN * self.acceleration,
+            grip=RoadRobot.grip_share * self.acceleration,
             curvature=self.curvature,
             frame=frame,
         )
@@ -223,9 +227,11 @@ class RoadSettings(Struct, frozen=True):
         if kind == "added":
             key = draw_key(HUMAN_DRIVERS[value], random or np.random.default_rng(0))
             return AddedRoadDriver(planning, value, key)
-        costs = SHIPPED_COSTS
+        costs = MEASURED_COSTS
         if isinstance(self.costs, dict):
-            seconds = np.array([self.costs.get(model, 0.0) / 1e3 for model in MODELS])
-            costs = Costs(0.0, seconds, MODELS)
+            seconds = np.array(
+                [self.costs.get(model, 0.0) / 1e3 for model in TRAFFIC_MODELS]
+            )
+            costs = Costs(0.0, seconds, TRAFFIC_MODELS)
         budget = value / 1e3 if kind == "budget" else np.inf
         return RoadDriver(planning, self.rule(costs), budget=budget)

@@ -2,12 +2,13 @@
 highway-env.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
 
-from ms_highway.game.car_following import FREE_GAP, ROBOT_IDM, TRAFFIC_LIMITS
+from ms_highway.game.car_following import FREE_GAP, ROBOT_IDM
 from ms_highway.geometry.curve import SPACING, Curve, Pose, interpolate
 from ms_highway.perception.scene import (
     EachStep,
@@ -17,237 +18,394 @@ from ms_highway.perception.scene import (
     Traffic,
     World,
 )
-from ms_highway.road.constants import RoadPlanning
-from ms_highway.road.following import Behaviour, along_paths, aside, move_traffic
+from ms_highway.road.following import (
+    Behaviour,
+    TrafficMotion,
+    lateral_positions,
+    move_traffic,
+    positions_and_speeds,
+    traffic_motion,
+)
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.traffic import ROOM, WAITING, Situation, lowest
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.traffic import CROSSING, OBSTACLES, PASSING_GAP, Situation, lowest
 from ms_highway.runtime.arrays import Car, Control, ManyControls, Numbers, Scalar
 
-LIMITED_SPEED = 1.0  # m/s, below which curvature is limited as at this speed
-MAX_SLIP_SINE = 0.9  # largest sine of the slip angle
-BRAKING_FIRST = 0.6  # share of the grip that braking may take before steering
-STEERING_FREQUENCY = (
-    1.6  # rad/s, of the critically damped motion to the centre of a lane
-)
-MAX_LATERAL_ACCELERATION = 3.0  # m/s^2, for this motion
-STEERING_SPEED = 3.0  # m/s, below which steering is not sharper than at this speed
-PREVIEW = 0.4  # s, that the robot looks ahead for speed limits
 
-COMFORT_GAIN = 0.8  # 1/s, acceleration per difference of speed
-FOLLOWING_GAIN = 2.0  # factor of the Intelligent Driver Model's acceleration
-# m/s, so high that the robot behind a car accelerates as if nothing else limited it
-UNLIMITED_SPEED = 1000.0
-CLOSE_BRAKING, CLOSE_GAP, CLOSE_REACTION = 2.0, 1.5, 0.25  # m/s^2, m, s, of closing up
-CREEP_SPEED = 3.0  # m/s, lowest speed at which crossing cars are expected to arrive
+@dataclass(frozen=True)
+class GripUse:
+    """Set how braking and steering share the grip."""
 
-TURNING_MARGIN = 4.0  # m, of room before an obstacle to turn round it
-LANE_CHANGE_GAP = (
-    0.5  # m, to others beside the robot, below which a plan does not change lanes
-)
-LANE_CHANGE_TIME = (
-    3.0  # s, before passing them, within which a plan does not change lanes either
-)
+    lowest_speed: float = 1.0
+    """Below this speed, curvature is limited as at this speed [m/s]."""
+    largest_slip_sine: float = 0.9
+    """Largest sine of the slip angle."""
+    braking_share: float = 0.6
+    """Share of the grip that braking may take before steering."""
 
 
-class DrivenPlans(NamedTuple):
+GRIP_USE = GripUse()
+
+
+@dataclass(frozen=True)
+class LaneSteering:
+    """Set how plans steer to the middle of a lane."""
+
+    frequency: float = 1.6
+    """Of the critically damped motion to the middle [rad/s]."""
+    lateral_acceleration: float = 3.0
+    """Largest lateral acceleration of this motion [m/s^2]."""
+    lowest_speed: float = 3.0
+    """Below this speed, steering is not sharper than at this speed [m/s]."""
+
+
+STEERING = LaneSteering()
+
+
+@dataclass(frozen=True)
+class SpeedControl:
+    """Set how plans that follow the traffic choose their speed."""
+
+    preview: float = 0.4
+    """Time that the robot looks ahead for speed limits: two steps [s]."""
+    gain: float = 0.8
+    """Acceleration per difference to the desired speed [1/s]."""
+    acceleration: float = 3.0
+    """Largest acceleration to the desired speed [m/s^2]."""
+    following_gain: float = 2.0
+    """Factor of the acceleration of the Intelligent Driver Model."""
+    unlimited_speed: float = 1e3
+    """Desired speed in the Intelligent Driver Model, so high that only the car ahead
+    matters there [m/s].
+    """
+
+
+SPEED = SpeedControl()
+
+
+@dataclass(frozen=True)
+class ClosingUp:
+    """Set how plans close up to the car ahead, as late as is safe."""
+
+    braking: float = 2.0
+    """Deceleration at the end [m/s^2]."""
+    gap: float = 1.5
+    """Gap that is left [m]."""
+    reaction_time: float = 0.25
+    """Time before the robot brakes [s]."""
+
+
+CLOSING_UP = ClosingUp()
+
+
+@dataclass(frozen=True)
+class Yielding:
+    """Set how plans yield to crossing cars."""
+
+    lowest_speed: float = 3.0
+    """Lowest speed at which crossing cars are expected to arrive [m/s]."""
+    passed_margin: float = 1.0
+    """Distance behind a crossing car from which on it has passed [m]."""
+
+
+YIELDING = Yielding()
+
+
+@dataclass(frozen=True)
+class LaneChangeGaps:
+    """Set when plans change lanes beside others while cars come towards the robot."""
+
+    gap: float = 0.5
+    """To others beside the robot, below which a plan does not change lanes [m]."""
+    passing_time: float = 3.0
+    """Time before it passes them within which it does not change lanes either [s]."""
+
+
+LANE_CHANGE = LaneChangeGaps()
+
+
+class SimulatedPlans(NamedTuple):
     """Simulated plans.
 
     Attributes:
         states: states of the robot after each step, in road coordinates.
         controls: executed controls of the robot.
-        path: trajectories of the robot's centre.
+        centre: trajectories of the robot's centre.
         world: trajectories of others.
-        along: positions of others on their paths after each step [m].
-        s, d: positions of others on the robot's route [m].
-        speeds: of others [m/s].
-        cosine: of the angle between the others' paths and the route.
+        traffic: motion of others on the robot's route after each step.
     """
 
     states: States
     controls: ManyControls
-    path: World
+    centre: World
     world: World
-    along: EachStep
-    s: EachStep
-    d: EachStep
-    speeds: EachStep
-    cosine: EachStep
+    traffic: TrafficMotion
 
     @property
     def robot(self) -> EachStep:
-        """States of the robot, [4, plans, 1, steps]."""
+        """The robot's s, d, heading and speed, [4, plans, 1, steps]."""
         return jnp.moveaxis(self.states[:, None], -1, 0)
 
-    @property
-    def end(self) -> "DrivenPlans":
-        """Others after the last step."""
-        return self._replace(
-            **{name: getattr(self, name)[..., -1] for name in self._fields[4:]}
-        )
+
+class StepRecord(NamedTuple):
+    """What a step of the simulation records: the robot's state and executed control,
+    and the fields of a `TrafficMotion`.
+    """
+
+    state: Car
+    control: Control
+    along: Traffic
+    speed: Traffic
+    s: Traffic
+    d: Traffic
+    cosine: Traffic
 
 
-def simulate(now: Situation, behaviour: Behaviour, plans: Profiles) -> DrivenPlans:
+def simulate(
+    situation: Situation, behaviour: Behaviour, plans: Profiles
+) -> SimulatedPlans:
     """Simulate plans among others that respond to each of them."""
-    scene = now.scene
-    planning = now.planning
-    across = aside(scene, planning.times)
-    traffic = along_paths(scene)
+    scene = situation.scene
+    planning = situation.planning
+    across = lateral_positions(scene, planning.times)  # [traffic, steps]
+    start = (scene.robot, *positions_and_speeds(scene))
 
-    def one(plan: Profiles, accelerations: EachStep) -> tuple:
-        def go(carry: tuple, step: tuple) -> tuple[tuple, tuple]:
-            (car, along, speeds), (given, sideways, rows) = carry, step
-            where = now.ways.at(along, sideways)
-            control = jnp.where(
-                plan.given, given, _control(now, plan, car, along, where, speeds)
-            )
-            ahead, control = advance(scene, planning, car, control)
-            along, speeds = move_traffic(
-                now, behaviour, rows, where, along, speeds, car
-            )
-            return (ahead, along, speeds), (
-                ahead,
-                control,
-                along,
-                speeds,
-                *now.ways.at(along, sideways),
-            )
+    def simulate_one(plan: Profiles, accelerations: EachStep) -> StepRecord:
+        """Simulate a plan, given the accelerations of others that do not follow."""
 
-        rows = jnp.stack(
-            [accelerations, behaviour.residual, behaviour.limit]
-        ).T.swapaxes(1, 2)
-        return jax.lax.scan(
-            go, (scene.robot, *traffic), (plan.controls, across.T, rows)
-        )[1]
+        def step(carry: tuple, inputs: tuple) -> tuple[tuple, StepRecord]:
+            car, along, speed = carry
+            given_control, step_across, rows = inputs
+            traffic = traffic_motion(situation, along, step_across, speed)
 
-    states, controls, *others = jax.vmap(one)(plans, behaviour.accelerations)
-    along, speeds, s, d, cosine = (jnp.swapaxes(field, 1, 2) for field in others)
-    x, y, heading = jax.vmap(Curve.place, (0, -2, 0), -2)(scene.paths, along, across)
-    world = jnp.stack(
-        [x, y, heading + scene.askew - _slip(scene, along), speeds], axis=-2
+            own_control = _control(situation, plan, car, traffic)
+            wanted = jnp.where(plan.is_given, given_control, own_control)
+            next_car, control = advance(scene, planning, car, wanted)
+            along, speed = move_traffic(situation, behaviour, rows, traffic, car)
+
+            s, d, cosine = situation.paths.at(along, step_across)
+            record = StepRecord(next_car, control, along, speed, s, d, cosine)
+            return (next_car, along, speed), record
+
+        # What others do in each step, [steps, 3, traffic].
+        rows = jnp.stack([accelerations, behaviour.residual, behaviour.limit])
+        rows = rows.T.swapaxes(1, 2)
+        return jax.lax.scan(step, start, (plan.controls, across.T, rows))[1]
+
+    records = jax.vmap(simulate_one)(plans, behaviour.accelerations)
+
+    # Others have their steps in the last axis, [plans, traffic, steps].
+    along, speed, s, d, cosine = (
+        jnp.swapaxes(field, 1, 2)
+        for field in (
+            records.along,
+            records.speed,
+            records.s,
+            records.d,
+            records.cosine,
+        )
     )
-    path = jnp.stack([*bodies(scene, states), states[..., 3]], axis=-2)
-    return DrivenPlans(states, controls, path, world, along, s, d, speeds, cosine)
+    x, y, heading = jax.vmap(Curve.place, (0, -2, 0), -2)(scene.paths, along, across)
+    other_heading = heading + scene.askew - _slip(scene, along)
+    return SimulatedPlans(
+        records.state,
+        records.control,
+        centre=jnp.stack(
+            [*bodies(scene, records.state), records.state[..., 3]], axis=-2
+        ),
+        world=jnp.stack([x, y, other_heading, speed], axis=-2),
+        traffic=TrafficMotion(along, s, d, speed, cosine),
+    )
 
 
-def target_of(now: Situation, plan: Profiles, s: Scalar) -> Scalar:
+def target_of(situation: Situation, plan: Profiles, s: Scalar) -> Scalar:
     """Return the lateral position that a plan steers to where its rear axle is at s
     [m].
     """
-    passes = (plan.side != 0) & now.obstruction.exists & (s < now.obstruction.end)
-    goal = interpolate(now.scene.lanes[plan.lane], s)
-    return jnp.where(passes, now.obstruction.sides[(plan.side > 0).astype(int)], goal)
+    obstruction = situation.obstruction
+    passes = (plan.side != 0) & obstruction.exists & (s < obstruction.end)
+    lane_centre = interpolate(situation.scene.lanes[plan.lane], s)
+    passing_side = obstruction.sides[(plan.side > 0).astype(int)]
+    return jnp.where(passes, passing_side, lane_centre)
 
 
 def _slip(scene: RoadScene, along: EachStep) -> EachStep:
     """Return the slip angles of others: in bends, centres do not move along the
     heading.
     """
-    bends = jnp.where(
-        scene.moving[:, None],
-        jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along),
-        0.0,
-    )
-    return jnp.arcsin(
-        jnp.clip(bends * scene.sizes[:, :1] / 2, -MAX_SLIP_SINE, MAX_SLIP_SINE)
-    )
+    bends = jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along)
+    bends = jnp.where(scene.moving[:, None], bends, 0.0)
+    sine = bends * scene.sizes[:, :1] / 2
+    largest = GRIP_USE.largest_slip_sine
+    return jnp.arcsin(jnp.clip(sine, -largest, largest))
+
+
+# The control of a plan in a step
 
 
 def _control(
-    now: Situation,
-    plan: Profiles,
-    car: Car,
-    along: Traffic,
-    where: Pose,
-    speeds: Traffic,
+    situation: Situation, plan: Profiles, car: Car, traffic: TrafficMotion
 ) -> Control:
     """Return the robot's control in a step of a plan."""
-    scene = now.scene
-    planning = now.planning
-    crossings = now.crossings
-    s, d, heading, speed = car
-    onward = speeds * where[2]
-    front = s + scene.size[0]
-    ahead = where[0] - (s + scene.size[0] / 2)
-    apart = scene.reach[:, 1] + ROOM
-    target = target_of(now, plan, s)
+    s, _, _, speed = car
+    target = target_of(situation, plan, s)
+    distance = traffic.s - (s + situation.scene.size[0] / 2)  # between centres
 
-    # If others come towards the robot in its lane, wait before changing lanes: plans
-    # that follow, until they have dropped behind the cars beside them; other plans,
-    # until they have overtaken them. Halfway into the lane, go on.
-    overtakes = ~plan.follows & (ahead > 0)
-    passing = jnp.where(
-        overtakes, LANE_CHANGE_TIME * jnp.maximum(speed - onward, 0.0), 0.0
-    )
+    goal = _lateral_goal(situation, plan, car, traffic, target, distance)
+    curvature = _curvature(situation, car, goal)
+
+    # Reach the desired speed or the cap, behind the cars ahead.
+    cap = _speed_cap(situation, plan, car, traffic)
+    behind = _behind_others(situation, plan, car, traffic, target, distance)
+    desired = jnp.minimum(cap, plan.speed_share * situation.planning.desired_speed)
+    free = SPEED.gain * (desired - speed)
+    free = jnp.clip(free, -SPEED.acceleration, SPEED.acceleration)
+    following = jnp.minimum(free, behind)
+
+    # Plans of constant acceleration keep to the cap, too.
+    acceleration = jnp.where(plan.follows, following, plan.acceleration)
+    to_cap = jnp.maximum((cap - speed) / SPEED.preview, -situation.planning.grip)
+    return jnp.stack([curvature, jnp.minimum(acceleration, to_cap)])
+
+
+def _lateral_goal(
+    situation: Situation,
+    plan: Profiles,
+    car: Car,
+    traffic: TrafficMotion,
+    target: Scalar,
+    distance: Traffic,
+) -> Scalar:
+    """Return the lateral position to steer to: the target, or the present lane while
+    the plan waits [m].
+
+    If others come towards the robot in its lane, wait before changing lanes: plans that
+    follow, until they have dropped behind the cars beside them; other plans, until they
+    have overtaken them. Halfway into the lane, go on.
+    """
+    scene = situation.scene
+    s, d, _, speed = car
+    contact_length = scene.reach[:, 0]
+    lateral_gap = scene.reach[:, 1] + PASSING_GAP
+
+    # The gap that the plan needs to cars in its target lane.
+    overtakes = ~plan.follows & (distance > 0)
+    closing_speed = jnp.maximum(speed - traffic.forward_speed, 0.0)
+    passing = jnp.where(overtakes, LANE_CHANGE.passing_time * closing_speed, 0.0)
+    needed = contact_length + LANE_CHANGE.gap + passing
+
     in_target_lane = (
-        (jnp.abs(where[1] - target) < apart)
-        & (jnp.abs(d - target) > apart)
+        (jnp.abs(traffic.d - target) < lateral_gap)
+        & (jnp.abs(d - target) > lateral_gap)
         & scene.present
     )
-    blocked = in_target_lane & (
-        jnp.abs(ahead) < scene.reach[:, 0] + LANE_CHANGE_GAP + passing
-    )
-    waits = blocked.any() & (crossings.oncoming & (where[0] > s)).any()
-    goal = jnp.where(waits, interpolate(scene.lanes[1], s), target)
+    is_blocked = (in_target_lane & (jnp.abs(distance) < needed)).any()
+    is_opposed = (situation.crossings.oncoming & (traffic.s > s)).any()
+    present_lane = interpolate(scene.lanes[1], s)
+    return jnp.where(is_blocked & is_opposed, present_lane, target)
 
-    # Steer to the target. In a bend, the rear axle points inwards by half the turn of a
-    # frame, see `advance`; in a sharp one, it is inside the target.
+
+def _curvature(situation: Situation, car: Car, goal: Scalar) -> Scalar:
+    """Return the curvature that steers the rear axle to a lateral position.
+
+    The lateral acceleration is that of a critically damped spring, ``-w^2 d - 2 w v
+    sin(heading)``. In a bend, the rear axle points inwards by half the turn of a frame,
+    see `advance`; in a sharp one, it is inside the target.
+    """
+    scene = situation.scene
+    planning = situation.planning
+    s, d, heading, speed = car
+
     turn = interpolate(scene.route.curvature, s + 0.5 * speed * planning.time_step)
-    inside = interpolate(now.inside, s)
-    slant = (interpolate(now.inside, s + SPACING) - inside) / SPACING
-    turned = heading - slant - turn * speed * planning.lag
-    back = -(STEERING_FREQUENCY**2) * (
-        d - inside - goal
-    ) - 2 * STEERING_FREQUENCY * speed * jnp.sin(turned)
-    squared = jnp.maximum(speed, STEERING_SPEED) ** 2
-    curvature = (
-        turn / jnp.maximum(1 - d * turn, 0.2)
-        + jnp.clip(back, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION) / squared
-    )
+    shift = interpolate(situation.inward_shift, s)
+    next_shift = interpolate(situation.inward_shift, s + SPACING)
+    shift_slope = (next_shift - shift) / SPACING
+    relative_heading = heading - shift_slope - turn * speed * planning.lag
 
-    # Slow down for bends, and wait for crossing cars until they have passed; past the
-    # waiting line, go on.
+    frequency = STEERING.frequency
+    lateral = -(frequency**2) * (d - shift - goal) - 2 * frequency * speed * jnp.sin(
+        relative_heading
+    )
+    lateral = jnp.clip(
+        lateral, -STEERING.lateral_acceleration, STEERING.lateral_acceleration
+    )
+    squared = jnp.maximum(speed, STEERING.lowest_speed) ** 2
+    road_curvature = turn / jnp.maximum(1 - d * turn, 0.2)
+    return road_curvature + lateral / squared
+
+
+def _speed_cap(
+    situation: Situation, plan: Profiles, car: Car, traffic: TrafficMotion
+) -> Scalar:
+    """Return the highest speed from which the robot can slow down for bends ahead and
+    wait for crossing cars until they have passed [m/s].
+
+    Past the waiting line, the robot goes on.
+    """
+    scene = situation.scene
+    planning = situation.planning
+    crossings = situation.crossings
+    s, _, _, speed = car
     lengths = scene.sizes[:, 0]
-    arrival = jnp.maximum(crossings.begin - lengths / 2, 0.0) / jnp.maximum(
-        scene.states[:, 3], CREEP_SPEED
-    )
-    awaited = (
-        scene.moving
-        & (arrival < plan.yields)
-        & (along < crossings.last + lengths / 2 + 1.0)
-    )
-    left = crossings.line - front
-    left = lowest(left, awaited & (left > -WAITING)) - PREVIEW * speed
-    waiting = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(left, 0.0))
-    cap = jnp.minimum(interpolate(now.caps, s + PREVIEW * speed), waiting)
 
-    # Keep behind the cars ahead, in this lane and in the target lane.
-    beside = (where[1] > jnp.minimum(d, target) - apart) & (
-        where[1] < jnp.maximum(d, target) + apart
-    )
-    beside = beside & (scene.moving | (plan.side == 0))
-    room = scene.reach[:, 0] + TURNING_MARGIN * (~scene.moving & (plan.lane == 1))
-    gap = jnp.where((ahead > 0) & beside & scene.present, ahead - room, FREE_GAP)
-    safe = onward + jnp.sqrt(
-        2 * CLOSE_BRAKING * jnp.maximum(gap - CLOSE_GAP - CLOSE_REACTION * speed, 0.0)
-    )
-    followed = ROBOT_IDM.acceleration(speed, UNLIMITED_SPEED, gap, onward)
-    kept = FOLLOWING_GAIN * followed.min()
-    kept = jnp.where(plan.closes, (safe.min() - speed) / PREVIEW, kept)
+    # Crossing cars that arrive soon, and have not passed.
+    way = jnp.maximum(crossings.begin - lengths / 2, 0.0)
+    arrival = way / jnp.maximum(scene.states[:, 3], YIELDING.lowest_speed)
+    passed = crossings.last + lengths / 2 + YIELDING.passed_margin
+    is_awaited = scene.moving & (arrival < plan.yield_time) & (traffic.along < passed)
 
-    free = COMFORT_GAIN * (
-        jnp.minimum(cap, plan.share * planning.desired_speed) - speed
+    # Braking by b stops within x from the speed sqrt(2 b x).
+    front = s + scene.size[0]
+    to_line = crossings.line - front
+    is_before_line = to_line > -CROSSING.waiting_gap
+    room = lowest(to_line, is_awaited & is_before_line) - SPEED.preview * speed
+    stopping = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(room, 0.0))
+    bends = interpolate(situation.speed_caps, s + SPEED.preview * speed)
+    return jnp.minimum(bends, stopping)
+
+
+def _behind_others(
+    situation: Situation,
+    plan: Profiles,
+    car: Car,
+    traffic: TrafficMotion,
+    target: Scalar,
+    distance: Traffic,
+) -> Scalar:
+    """Return the acceleration behind the cars ahead, in this lane and in the target
+    lane [m/s^2].
+    """
+    scene = situation.scene
+    _, d, _, speed = car
+
+    # Cars ahead between the robot and its target. A plan that passes an obstacle
+    # ignores obstacles; other plans leave room before them to turn round them.
+    lateral_gap = scene.reach[:, 1] + PASSING_GAP
+    in_way = (traffic.d > jnp.minimum(d, target) - lateral_gap) & (
+        traffic.d < jnp.maximum(d, target) + lateral_gap
     )
-    comfort = TRAFFIC_LIMITS.acceleration
-    free = jnp.minimum(jnp.clip(free, -comfort, comfort), kept)
-    acceleration = jnp.where(plan.follows, free, plan.rate)
-    return jnp.stack(
-        [
-            curvature,
-            jnp.minimum(
-                acceleration, jnp.maximum((cap - speed) / PREVIEW, -planning.grip)
-            ),
-        ]
+    in_way = in_way & (scene.moving | (plan.side == 0))
+    turning_room = OBSTACLES.turning_room * (~scene.moving & (plan.lane == 1))
+    contact = scene.reach[:, 0] + turning_room
+    gap = jnp.where(
+        (distance > 0) & in_way & scene.present, distance - contact, FREE_GAP
     )
+
+    # Either follow by the Intelligent Driver Model ...
+    following = ROBOT_IDM.acceleration(
+        speed, SPEED.unlimited_speed, gap, traffic.forward_speed
+    )
+    following = SPEED.following_gain * following.min()
+
+    # ... or drive at the highest speed from which gentle braking still suffices.
+    room = gap - CLOSING_UP.gap - CLOSING_UP.reaction_time * speed
+    gained = jnp.sqrt(2 * CLOSING_UP.braking * jnp.maximum(room, 0.0))
+    safe_speed = traffic.forward_speed + gained
+    closing_up = (safe_speed.min() - speed) / SPEED.preview
+    return jnp.where(plan.closes_up, closing_up, following)
+
+
+# The motion of the robot
 
 
 def limited_control(
@@ -260,51 +418,56 @@ def limited_control(
     curvature is limited, ``(v^2 k)^2 <= grip^2 - b^2``; then the acceleration, ``a^2 <=
     grip^2 - (v^2 k)^2``.
     """
-    squared = jnp.maximum(speed, LIMITED_SPEED) ** 2
-    braking = jnp.clip(-control[..., 1], 0.0, BRAKING_FIRST * planning.grip)
-    sharpest = jnp.minimum(
-        planning.curvature, jnp.sqrt(planning.grip**2 - braking**2) / squared
-    )
+    grip = planning.grip
+    squared = jnp.maximum(speed, GRIP_USE.lowest_speed) ** 2
+
+    braking = jnp.clip(-control[..., 1], 0.0, GRIP_USE.braking_share * grip)
+    sharpest = jnp.minimum(planning.curvature, jnp.sqrt(grip**2 - braking**2) / squared)
     curvature = jnp.clip(control[..., 0], -sharpest, sharpest)
-    left = jnp.sqrt(jnp.maximum(planning.grip**2 - (squared * curvature) ** 2, 1e-6))
-    acceleration = jnp.maximum(
-        jnp.clip(control[..., 1], -left, left), -speed / planning.time_step
-    )
+
+    left = jnp.sqrt(jnp.maximum(grip**2 - (squared * curvature) ** 2, 1e-6))
+    acceleration = jnp.clip(control[..., 1], -left, left)
+    acceleration = jnp.maximum(acceleration, -speed / planning.time_step)
     return jnp.stack([curvature, acceleration], axis=-1)
 
 
 def advance(
     scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control
 ) -> tuple[Car, Control]:
-    """Return the state one time step later, and the control within the grip, see `limited_control`.
+    """Return the state one time step later, and the control within the grip.
 
     With the curvature k_r of the road in the middle of the step, and old values on the
     right-hand side::
 
-        s += u cos(heading) dt / (1 - d k_r);  d += u sin(heading - k_r s' frame / 2) dt
-        heading += (v k - k_r s') dt;          v += a dt
+        s += u cos(heading) dt / (1 - d k_r)
+        d += u sin(heading - k_r s' frame / 2) dt
+        heading += (v k - k_r s') dt
+        v += a dt
 
     The speed v is that of the centre. Its slip angle is beta, ``sin(beta) = k length /
     2``, so the speed of the rear axle is ``u = v cos(beta)``.
 
     In each frame of the simulation, the car moves along its heading at the beginning of
-    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards by
-    ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
+    the frame. In a bend, the road turns meanwhile, so that the car is carried outwards
+    by ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
     """
     control = limited_control(planning, state[3], wanted)
+    curvature = control[0]
+    acceleration = control[1]
     s, d, heading, speed = state
     dt = planning.time_step
     bend = interpolate(scene.route.curvature, s + 0.5 * speed * dt)
-    rear = speed * jnp.sqrt(jnp.maximum(1 - (control[0] * scene.size[0] / 2) ** 2, 0.1))
-    onward = rear * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
-    direction = heading - bend * onward * planning.lag
-    changes = [
-        onward,
-        rear * jnp.sin(direction),
-        speed * control[0] - bend * onward,
-        control[1],
-    ]
-    return state + jnp.stack(changes) * dt, control
+
+    # The speed u of the rear axle, and the speed s' along the road.
+    slip_sine = curvature * scene.size[0] / 2
+    rear_speed = speed * jnp.sqrt(jnp.maximum(1 - slip_sine**2, 0.1))
+    s_rate = rear_speed * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
+
+    direction = heading - bend * s_rate * planning.lag
+    d_rate = rear_speed * jnp.sin(direction)
+    heading_rate = speed * curvature - bend * s_rate
+    rates = jnp.stack([s_rate, d_rate, heading_rate, acceleration])
+    return state + rates * dt, control
 
 
 def bodies(scene: RoadScene, states: States) -> Pose:
@@ -321,6 +484,5 @@ def earlier(first: Scalar, values: Steps) -> Steps:
     """Shift values by a step: the first value comes first, the last of the values is
     dropped.
     """
-    return jnp.concatenate(
-        [jnp.full_like(values[..., :1], first), values[..., :-1]], axis=-1
-    )
+    first_column = jnp.full_like(values[..., :1], first)
+    return jnp.concatenate([first_column, values[..., :-1]], axis=-1)

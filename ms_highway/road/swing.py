@@ -2,6 +2,8 @@
 of the way of the rear axle.
 """
 
+from dataclasses import dataclass
+
 import jax
 from jax import numpy as jnp
 
@@ -9,23 +11,34 @@ from ms_highway.geometry.curve import BEHIND, SPACING, Knots, interpolate
 from ms_highway.perception.scene import RoadScene, States
 from ms_highway.runtime.arrays import Numbers
 
-CORNER_MARGIN = 0.2
-"""Distance from the outer front corner to the edge of the lane below which a bend is
-sharp; for steering errors [m].
-"""
 
-FADE = 0.1
-"""Excess of the corner's swing at which the middle of the body follows the middle of
-the lane [m].
-"""
+@dataclass(frozen=True)
+class SharpBends:
+    """Set in which bends the rear axle drives inside the middle of its lane."""
 
-AROUND = 8.0
-"""Distance before and behind a sharp bend within which the body is positioned as in it
-[m].
-"""
+    corner_margin: float = 0.2
+    """Distance from the outer front corner to the edge of the lane below which a bend
+    is sharp; for steering errors [m].
+    """
+    fade: float = 0.1
+    """Excess of the corner's swing at which the middle of the body follows the middle
+    of the lane [m].
+    """
+    nearby: float = 8.0
+    """Distance before and behind a sharp bend within which the body is positioned as in
+    it [m].
+    """
+
+    @property
+    def knots(self) -> int:
+        """Number of knots of a route within `nearby` of a knot, before and behind."""
+        return 2 * round(self.nearby / SPACING) + 1
 
 
-def aside_of(
+SHARP_BENDS = SharpBends()
+
+
+def lateral_position(
     scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0
 ) -> Numbers:
     """Return the lateral position of a point of the robot's body, on a road that bends
@@ -45,49 +58,51 @@ def aside_of(
     bend = interpolate(scene.route.curvature, s + ahead / 2)
     x = ahead * jnp.cos(heading) - right * jnp.sin(heading)
     y = d + ahead * jnp.sin(heading) + right * jnp.cos(heading)
-    left = 1 - bend * y
-    return y - bend * x**2 / (left + jnp.sqrt(left**2 + (bend * x) ** 2))
+    c = 1 - bend * y
+    return y - bend * x**2 / (c + jnp.sqrt(c**2 + (bend * x) ** 2))
 
 
-def inside_of(scene: RoadScene) -> Knots:
+def inward_shift_of(scene: RoadScene) -> Knots:
     """Return how far inside the middle of a lane the rear axle has to be, positive to
     the right [m].
 
     In most bends that is 0. Where the outer front corner would swing nearer than
-    `CORNER_MARGIN` to the edge of the lane, the middle of the body follows the middle
-    of the lane instead of the rear axle, also shortly before and behind.
+    `SharpBends.corner_margin` to the edge of the lane, the middle of the body follows
+    the middle of the lane instead of the rear axle, also shortly before and behind.
 
     Returns:
         An array [knots], at each knot of the route.
     """
     length, width = scene.size
     left, own, right = scene.lanes
-    room = jnp.maximum(own - left, right - own) / 2 - CORNER_MARGIN
+    half_lane = jnp.maximum(own - left, right - own) / 2
+    room = half_lane - SHARP_BENDS.corner_margin
 
     # Where the body is while the rear axle is in the middle of the lane.
     s = SPACING * jnp.arange(len(own)) - BEHIND
-    along = jnp.stack([s, *[jnp.zeros_like(s)] * 3], axis=-1)
-    left_corner = -aside_of(scene, along, length, -width / 2)
-    right_corner = aside_of(scene, along, length, width / 2)
-    middle = aside_of(scene, along, length / 2)
+    zero = jnp.zeros_like(s)
+    in_middle = jnp.stack([s, zero, zero, zero], axis=-1)
+    left_corner = -lateral_position(scene, in_middle, length, -width / 2)
+    right_corner = lateral_position(scene, in_middle, length, width / 2)
+    body_middle = lateral_position(scene, in_middle, length / 2)
 
     # Where the corner is too near, or soon will be, or was.
     excess = jnp.maximum(left_corner, right_corner) - room
-    knots = 2 * round(AROUND / SPACING) + 1
-    nearby = jax.lax.reduce_window(
-        excess, -jnp.inf, jax.lax.max, (knots,), (1,), "SAME"
+    nearby_excess = jax.lax.reduce_window(
+        excess, -jnp.inf, jax.lax.max, (SHARP_BENDS.knots,), (1,), "SAME"
     )
-    return -middle * jnp.clip(nearby / FADE, 0.0, 1.0)
+    return -body_middle * jnp.clip(nearby_excess / SHARP_BENDS.fade, 0.0, 1.0)
 
 
-def sharpest_bends(scene: RoadScene, inside: Knots) -> Knots:
+def sharpest_bends(scene: RoadScene, inward_shift: Knots) -> Knots:
     """Return the curvature at each knot of the route for which the robot has to be slow
     enough there [1/m].
 
-    In sharp bends, in which the rear axle is inside its lane, see `inside_of`, the
-    robot steers in half its length before the bend.
+    In sharp bends, in which the rear axle is inside its lane, see `inward_shift_of`,
+    the robot steers in half its length before the bend.
     """
     bends = jnp.abs(scene.route.curvature)
-    half = jnp.round(scene.size[0] / 2 / SPACING).astype(int)
-    places = jnp.minimum(jnp.arange(len(bends)) + half, len(bends) - 1)
-    return jnp.maximum(bends, jnp.where(inside == 0, 0.0, bends[places]))
+    half_length = jnp.round(scene.size[0] / 2 / SPACING).astype(int)
+    knots_ahead = jnp.minimum(jnp.arange(len(bends)) + half_length, len(bends) - 1)
+    bends_ahead = jnp.where(inward_shift == 0, 0.0, bends[knots_ahead])
+    return jnp.maximum(bends, bends_ahead)

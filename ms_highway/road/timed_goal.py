@@ -13,8 +13,9 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
 from ms_highway.road.added import AddedRoadDriver
-from ms_highway.road.constants import RoadWeights
 from ms_highway.road.driver import RoadDriver
+from ms_highway.road.lost_speed import GRID
+from ms_highway.road.road_weights import RoadWeights
 
 TIME_MARGIN = 2.0  # s, largest margin to the ends of the interval of time
 LOOK_AHEAD = 1.0  # s, after which the speed on the way there is taken
@@ -120,7 +121,7 @@ class TimedGoal:
         weights = RoadWeights()
         rest = (
             self.times[1] - now - planning.steps * float(planning.time_step)
-        ) / weights.horizon
+        ) / GRID.seconds
         terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
         driver.planning = replace(
             planning, desired_speed=self.desired_speed(vehicle, now)

@@ -2,6 +2,7 @@
 obstacles and speed limits.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import jax
@@ -19,39 +20,84 @@ from ms_highway.geometry.curve import (
     rotated,
 )
 from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
-from ms_highway.road.constants import RoadPlanning, RoadWeights
-from ms_highway.road.swing import inside_of, sharpest_bends
+from ms_highway.road.road_planning import RoadPlanning
+from ms_highway.road.road_weights import RoadWeights
+from ms_highway.road.swing import inward_shift_of, sharpest_bends
 from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
 
 STANDING_SPEED = 1.0
 """Speed below which a car counts as standing [m/s]."""
 
-ROOM = 0.4
-WAITING = 0.8
-"""Distance between bodies that pass each other, and between the waiting robot and
-crossing cars [m].
-"""
-
-SHARING = 0.85
-SAME_WAY = 0.8
-CROSSING = 0.5
-"""Cosines of the angle between a car's path and the robot's route from which the car
-shares the lane, goes the same way, and is no crossing car.
-"""
-
-# m behind the robot's rear axle, from which on nobody crosses its path any more
-PASSED_MARGIN = 1.0
-BEND_BRAKING = 2.5  # m/s^2, before bends
-OBSTACLE_SIGHT = 30.0  # m ahead within which the robot passes obstacles
-KNOTS_IN_SIGHT = int(
-    (BEHIND + OBSTACLE_SIGHT + 10.0) / SPACING
-)  # of the route, but not of the next lap of a loop
-# m between places on crossing paths: knots move with cars, so waiting lines at knots
-# would jump
-STRIDE = 0.5
+PASSING_GAP = 0.4
+"""Distance between bodies that pass each other [m]."""
 
 
-class Ways(NamedTuple):
+@dataclass(frozen=True)
+class PathCosines:
+    """Say by the cosine of the angle between a car's path and the robot's route how the
+    car drives.
+
+    Each bound allows for a path that bends within the lane: 0.85 is 32 degrees, and 0.5
+    is 60 degrees.
+    """
+
+    shares_lane: float = 0.85
+    """From here on, the car drives in the robot's lane; from minus this value on down,
+    it comes towards the robot.
+    """
+    same_way: float = 0.8
+    """From here on, the car goes the same way, and its time of arrival is known well."""
+    follows: float = 0.7
+    """From here on, a car follows the robot ahead of it."""
+    not_crossing: float = 0.5
+    """From here on, the car is no crossing car."""
+
+
+COSINES = PathCosines()
+
+
+@dataclass(frozen=True)
+class CrossingSettings:
+    """Set where paths cross the robot's route, and how the robot keeps clear of them."""
+
+    corridor: float = 3.0
+    """Half the width of the robot's corridor, which crossing cars have to leave [m]."""
+    waiting_gap: float = 0.8
+    """Distance between the waiting robot and crossing cars [m]."""
+    passed_margin: float = 1.0
+    """Distance behind the robot's rear axle from which on nobody crosses its path any
+    more [m].
+    """
+    place_spacing: float = 0.5
+    """Distance between the places on paths where crossings are looked for [m]. Knots of
+    paths move with their cars, so that waiting lines at knots would jump.
+    """
+
+
+CROSSING = CrossingSettings()
+
+
+@dataclass(frozen=True)
+class ObstacleSettings:
+    """Set which obstacles the robot passes, and how much room it needs before them."""
+
+    sight: float = 30.0
+    """Distance ahead within which the robot passes obstacles [m]."""
+    margin: float = 10.0
+    """Length of route beyond the sight that obstacles are projected to [m]."""
+    turning_room: float = 4.0
+    """Room before an obstacle that the robot needs to turn round it [m]."""
+
+    @property
+    def knots(self) -> int:
+        """Number of knots of the route in sight, without the next lap of a loop."""
+        return int((BEHIND + self.sight + self.margin) / SPACING)
+
+
+OBSTACLES = ObstacleSettings()
+
+
+class RelativePaths(NamedTuple):
     """Paths of traffic in the coordinates of the robot's route, at the knots of the
     paths.
 
@@ -123,23 +169,23 @@ class Situation(NamedTuple):
         scene: the road.
         planning: limits and wishes.
         weights: of the score.
-        ways: paths of the traffic, relative to the route.
+        paths: of the traffic, relative to the route.
         crossings: of these paths and the route.
         leading: which vehicles drive ahead of the robot in its lane.
-        inside: how far inside its lane the rear axle has to be at the knots of the
-            route, see `inside_of`.
-        caps: highest speeds at the knots of the route, see `speed_caps`.
+        inward_shift: how far inside its lane the rear axle has to be at the knots of
+            the route, see `ms_highway.road.swing.inward_shift_of` [m].
+        speed_caps: highest speeds at the knots of the route [m/s].
         obstruction: of the robot's lane.
     """
 
     scene: RoadScene
     planning: RoadPlanning
     weights: RoadWeights
-    ways: Ways
+    paths: RelativePaths
     crossings: Crossings
     leading: Flags
-    inside: Knots
-    caps: Knots
+    inward_shift: Knots
+    speed_caps: Knots
     obstruction: Obstruction
 
 
@@ -147,70 +193,86 @@ def situation_of(
     scene: RoadScene, planning: RoadPlanning, weights: RoadWeights
 ) -> Situation:
     """Compute what all plans of a step share."""
-    s, d, turn = scene.route.project(scene.paths.x, scene.paths.y, scene.paths.heading)
-    ways = Ways(s, d, jnp.cos(turn))
-    s, d, cosine = ways.at(scene.states[:, 0], scene.states[:, 1])
+    route_s, route_d, turn = scene.route.project(
+        scene.paths.x, scene.paths.y, scene.paths.heading
+    )
+    paths = RelativePaths(route_s, route_d, jnp.cos(turn))
+
+    s, d, cosine = paths.at(scene.states[:, 0], scene.states[:, 1])
     leading = (
         (s > scene.robot[0])
-        & (cosine > CROSSING)
+        & (cosine > COSINES.not_crossing)
         & (jnp.abs(d - scene.robot[1]) < scene.size[1])
     )
-    inside = inside_of(scene)
+
+    inward_shift = inward_shift_of(scene)
     return Situation(
         scene,
         planning,
         weights,
-        ways,
-        _crossings(scene, ways),
+        paths,
+        _crossings(scene, paths),
         leading,
-        inside,
-        speed_caps(scene, planning, inside),
-        obstruction_of(scene, weights),
+        inward_shift,
+        _speed_caps(scene, planning, inward_shift),
+        _obstruction(scene, weights),
     )
 
 
-def _crossings(scene: RoadScene, ways: Ways) -> Crossings:
+def _crossings(scene: RoadScene, paths: RelativePaths) -> Crossings:
     """Find where paths of traffic cross the robot's route.
 
     Vehicles in the robot's lane, and those that merge behind the robot, are not
     crossing traffic even if paths part later: one of them follows the other. Nothing
     crosses behind the robot.
     """
-    places = jnp.arange(-BEHIND, SPACING * ways.s.shape[-1] - BEHIND, STRIDE)
-    s, d, apart, cosine = (
-        jax.vmap(interpolate, (0, None))(field, places)
-        for field in (ways.s, ways.d, jnp.abs(ways.d), ways.cosine)
-    )
-    now = int(BEHIND / STRIDE)
-    # Not abs(d), since the sign of d may change between knots.
-    inside = apart < RoadWeights.corridor
-    along = inside & (cosine > SHARING)
-    joins = along & (s < scene.robot[0]) & (places >= 0)
-    shares = along[:, now] | joins.any(axis=-1)
+    # Places on each path, arrays [traffic, places]. The absolute value of d is
+    # interpolated, since the sign of d may change between knots.
+    path_length = SPACING * paths.s.shape[-1]
+    places = jnp.arange(-BEHIND, path_length - BEHIND, CROSSING.place_spacing)
+    present_place = int(BEHIND / CROSSING.place_spacing)
+    at_places = jax.vmap(interpolate, (0, None))
+    s = at_places(paths.s, places)
+    d = at_places(paths.d, places)
+    distance = at_places(jnp.abs(paths.d), places)
+    cosine = at_places(paths.cosine, places)
+
+    # Vehicles that drive in the robot's lane now, or merge into it behind the robot.
+    in_corridor = distance < CROSSING.corridor
+    along_route = in_corridor & (cosine > COSINES.shares_lane)
+    merges_behind = along_route & (s < scene.robot[0]) & (places >= 0)
+    shares_lane = along_route[:, present_place] | merges_behind.any(axis=-1)
+
+    # Vehicles that come towards the robot in its lane.
     oncoming = (
-        inside[:, now]
-        & (cosine[:, now] < -SHARING)
-        & (s[:, now] > scene.robot[0])
+        in_corridor[:, present_place]
+        & (cosine[:, present_place] < -COSINES.shares_lane)
+        & (s[:, present_place] > scene.robot[0])
         & scene.moving
     )
-    aslant = (
-        (s > scene.robot[0] - PASSED_MARGIN) & (cosine < SHARING) & ~shares[:, None]
+
+    # Places where the other paths are in the robot's corridor.
+    at_angle = (
+        (s > scene.robot[0] - CROSSING.passed_margin)
+        & (cosine < COSINES.shares_lane)
+        & ~shares_lane[:, None]
     )
-    across = inside & aslant
-    line = (
-        lowest(s[:, 1:], across[:, 1:] & across[:, :-1])
-        - scene.sizes[:, 1] / 2
-        - WAITING
+    crosses = in_corridor & at_angle
+
+    # The robot waits before the first stretch of the path that is in the corridor.
+    first_s = lowest(s[:, 1:], crosses[:, 1:] & crosses[:, :-1])
+    line = first_s - scene.sizes[:, 1] / 2 - CROSSING.waiting_gap
+    crossing_d = jnp.where(
+        at_angle & ~oncoming[:, None], jnp.sign(d) * distance, FREE_GAP
     )
-    aside = jnp.where(aslant & ~oncoming[:, None], jnp.sign(d) * apart, FREE_GAP)
     return Crossings(
         places,
         s,
-        aside,
+        crossing_d,
         oncoming,
         line,
-        lowest(places, across),
-        highest(places, across),
+        lowest(places, crosses),
+        highest(places, crosses),
     )
 
 
@@ -221,55 +283,72 @@ def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
 
-def speed_caps(scene: RoadScene, planning: RoadPlanning, inside: Knots) -> Knots:
+def _speed_caps(scene: RoadScene, planning: RoadPlanning, inward_shift: Knots) -> Knots:
     """Return the highest speed at each knot of the route from which gentle braking
-    suffices for all bends ahead.
+    suffices for all bends ahead [m/s].
+
+    A bend of curvature k allows the speed ``v_k^2 = cornering grip / k``. At a distance
+    x before it, braking by b allows ``v^2 = v_k^2 + 2 b x``.
     """
-    bends = jnp.maximum(sharpest_bends(scene, inside), 1e-4)
-    allowed = jnp.minimum(
+    bends = jnp.maximum(sharpest_bends(scene, inward_shift), 1e-4)
+    squared_speed = jnp.minimum(
         planning.cornering * planning.grip / bends, planning.desired_speed**2
     )
-    ahead = 2 * BEND_BRAKING * SPACING * jnp.arange(len(bends))
-    return jnp.sqrt(
-        jnp.maximum(jax.lax.cummin(allowed + ahead, reverse=True) - ahead, 1.0)
-    )
+    gained = 2 * planning.bend_braking * SPACING * jnp.arange(len(bends))
+    lowest_ahead = jax.lax.cummin(squared_speed + gained, reverse=True) - gained
+    return jnp.sqrt(jnp.maximum(lowest_ahead, 1.0))
 
 
-def obstruction_of(scene: RoadScene, weights: RoadWeights) -> Obstruction:
+def _obstruction(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     """Find the obstacles in the robot's lane by the corners of bodies in the
     coordinates of its route.
 
     Bodies that slide, ``v' = -v``, occupy both their present and their final position.
     """
+    # Present and final positions of the bodies, [traffic, 2].
     along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
     slid = speed * jnp.array([0.0, 1.0])
-    x, y, path = jax.vmap(Curve.place)(
+    x, y, path_heading = jax.vmap(Curve.place)(
         scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading)
     )
-    ahead, aside = jnp.moveaxis(
-        scene.sizes[:, None, None] / 2 * CORNERS, -1, 0
-    )  # [traffic, 1, corners]
-    turned = path[..., None]
-    forth, sideways = rotated(ahead, aside, -turned - scene.askew[..., None])
-    in_sight = jax.tree.map(lambda knots: knots[:KNOTS_IN_SIGHT], scene.route)
-    s, d, _ = in_sight.project(x[..., None] + forth, y[..., None] + sideways, turned)
-    first, last, left, right = (
-        bound(each, axis=(1, 2)) for each in (s, d) for bound in (jnp.min, jnp.max)
+
+    # Corners of the bodies in world coordinates, [traffic, 2, corners], and in those of
+    # the route in sight.
+    ahead, sideways = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)
+    path_heading = path_heading[..., None]
+    corner_x, corner_y = rotated(
+        ahead, sideways, -path_heading - scene.askew[..., None]
     )
+    in_sight = jax.tree.map(lambda knots: knots[: OBSTACLES.knots], scene.route)
+    s, d, _ = in_sight.project(
+        x[..., None] + corner_x, y[..., None] + corner_y, path_heading
+    )
+    rear = jnp.min(s, axis=(1, 2))
+    front = jnp.max(s, axis=(1, 2))
+    left = jnp.min(d, axis=(1, 2))
+    right = jnp.max(d, axis=(1, 2))
+
+    # Obstacles that leave too little of the robot's lane.
     needed = scene.size[1] + 2 * weights.comfortable
-    own = interpolate(scene.lanes[1], first)
-    near = (
+    lane_centre = interpolate(scene.lanes[1], rear)
+    is_near = (
         scene.present
         & ~scene.moving
-        & (last > scene.robot[0])
-        & (first < scene.robot[0] + OBSTACLE_SIGHT)
+        & (front > scene.robot[0])
+        & (rear < scene.robot[0] + OBSTACLES.sight)
     )
-    found = near & (left < own + needed / 2) & (right > own - needed / 2)
+    obstructs = (
+        is_near & (left < lane_centre + needed / 2) & (right > lane_centre - needed / 2)
+    )
 
-    sides = jnp.stack(
-        [lowest(left, found) - needed / 2, highest(right, found) + needed / 2]
+    pass_left = lowest(left, obstructs) - needed / 2
+    pass_right = highest(right, obstructs) + needed / 2
+    return Obstruction(
+        obstructs.any(),
+        jnp.stack([pass_left, pass_right]),
+        lowest(rear, obstructs),
+        highest(front, obstructs),
     )
-    return Obstruction(found.any(), sides, lowest(first, found), highest(last, found))
 
 
 def lowest(values: Numbers, where: Numbers) -> Numbers:

@@ -52,7 +52,7 @@ RungIndex = NewType("RungIndex", int)
 
 ModelIndex = NewType("ModelIndex", int)
 """Place in a table of all models, such as `ms_highway.planning.ladders.PACKAGE_MODELS`
-or `ms_highway.road.constants.MODELS`, whatever the ladder in use.
+or `ms_highway.road.traffic_models.TRAFFIC_MODELS`, whatever the ladder in use.
 """
 
 Rungs: TypeAlias = Int[Any, "humans"]

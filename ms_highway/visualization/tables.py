@@ -13,7 +13,7 @@ from ms_highway.envs.registry import priced_types
 from ms_highway.experiments.comparison import models_of
 from ms_highway.experiments.summary import CONFIDENCE
 from ms_highway.planning.ladders import PAPER_MODELS
-from ms_highway.road.constants import MODELS
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 LATEX = {
     "\\": r"\textbackslash{}",
@@ -279,7 +279,9 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
         succeeded = binomtest(round(one["success"] * one["episodes"]), one["episodes"])
         low, high = succeeded.proportion_ci(CONFIDENCE, "wilson")
         shares = (
-            " / ".join(f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in MODELS)
+            " / ".join(
+                f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in TRAFFIC_MODELS
+            )
             if one["rungs"]
             else None
         )
@@ -292,7 +294,7 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
             "shares": shares,
         }
         rows.append(row | {"low": 100 * low, "high": 100 * high})
-    return grid(title, texts(_with_shares(DRIVERS, MODELS), rows))
+    return grid(title, texts(_with_shares(DRIVERS, TRAFFIC_MODELS), rows))
 
 
 def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from ms_highway.game.reward import linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import Scene
 from ms_highway.geometry.curve import BEHIND, SPACING
-from ms_highway.road.best_responses import ACCELERATION_UNIT, commuter_among
+from ms_highway.road.best_responses import RESPONSES, commuter_among
 from ms_highway.runtime.compilation import jit_quickly
 
 TIMES = np.asarray(PLANNING.times)
@@ -41,10 +41,8 @@ def keeping_velocity(scene):
 
 @jit_quickly
 def respond(scene, robot, others):
-    return (
-        ACCELERATION_UNIT
-        * commuter_among(scene, PLANNING, 0, robot, others).best_response()
-    )
+    human = commuter_among(scene, PLANNING, 0, robot, others)
+    return RESPONSES.acceleration_unit * human.best_response()
 
 
 def response(scene, robot):
@@ -75,7 +73,7 @@ def test_the_reward_is_that_of_commuters_on_a_straight_road_and_its_derivatives_
         )
 
         def earned(scaled):
-            a = scaled * ACCELERATION_UNIT
+            a = scaled * RESPONSES.acceleration_unit
             speed = 22 + jnp.cumsum(a) * 0.2
             s = jnp.cumsum(speed - a * 0.1) * 0.2
             own = Motion(s, 0 * s, 0 * s + 1, 0 * s, speed)

@@ -12,10 +12,11 @@ from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import first_memory
 from ms_highway.perception.scene import TRAFFIC
 from ms_highway.planning.costs import Costs
-from ms_highway.road.constants import MODELS, RoadWeights
 from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
+from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.settings import RoadSettings
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 SCENE = scene_of(
     robot=(0.0, 0.0, 0.0, 18.0),
@@ -46,24 +47,24 @@ def chosen(driver, costs, gains, spent=0.0):
     rungs = decided(
         rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)
     ).memory.rungs
-    return np.array([MODELS.index(rule.ladder[rung].name) for rung in rungs])
+    return np.array([TRAFFIC_MODELS.index(rule.ladder[rung].name) for rung in rungs])
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
-    costs = Costs(0.004, np.array([0.0, 0.0001, 0.003]), MODELS)
+    costs = Costs(0.004, np.array([0.0, 0.0001, 0.003]), TRAFFIC_MODELS)
     gains = np.geomspace(1e-3, 30.0, TRAFFIC)
     found = np.array(
         [chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)]
     )
     assert (np.diff(found, axis=0) <= 0).all()
-    assert len(np.unique(found[:, -1])) == len(MODELS)
+    assert len(np.unique(found[:, -1])) == len(TRAFFIC_MODELS)
 
 
 def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_cars():
     settings = RoadSettings.read(
         {"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}}
     )
-    rule = settings.rule(Costs(0.0, np.array([0.0, 0.0001, 0.0002]), MODELS))
+    rule = settings.rule(Costs(0.0, np.array([0.0, 0.0001, 0.0002]), TRAFFIC_MODELS))
     memory = first_memory(rule, TRAFFIC)
     bounds = np.full(TRAFFIC, 5.0, np.float32)
     for _ in range(3):
@@ -76,7 +77,7 @@ def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
     for _ in range(20):
         gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
         each = np.cumsum([0.0, *random.uniform(0, 0.002, 2)])
-        costs = Costs(random.uniform(0, 0.004), each, MODELS)
+        costs = Costs(random.uniform(0, 0.004), each, TRAFFIC_MODELS)
         milliseconds = random.uniform(0, 20)
         spent = random.uniform(0, 0.005)
         models = chosen(f"budget:{milliseconds}", costs, gains, spent)
@@ -112,7 +113,11 @@ def test_nothing_compiles_after_the_first_step(caplog):
         driver(name).step(SCENE)
     caplog.clear()
     with jax.log_compiles():
-        for name in (*(f"fixed:{model}" for model in MODELS), "priced:0.5", "budget:5"):
+        for name in (
+            *(f"fixed:{model}" for model in TRAFFIC_MODELS),
+            "priced:0.5",
+            "budget:5",
+        ):
             other = driver(name, replace(PLANNING, desired_speed=22.0, grip=4.0))
             other.weights = RoadWeights(speed=2.0)
             other.step(scene_of(cars=[(20.0, 0, 10.0)]))

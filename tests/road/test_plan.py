@@ -7,19 +7,19 @@ from dataclasses import replace
 import jax
 import numpy as np
 import pytest
-from roads import ONE_LANE, PLANNING, WEIGHTS, coming, execute, scene_of, wrecked
+from roads import LANE, ONE_LANE, PLANNING, WEIGHTS, coming, execute, scene_of, wrecked
 
 from ms_highway.perception.scene import KNOTS, TRAFFIC
-from ms_highway.road.constants import LANE, MODELS
 from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
+from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 UNHURRIED = replace(PLANNING, desired_speed=10.0)
 
 
 def planned(scene, model="idm", planning=PLANNING, last=None):
     """The best plan if one model predicts everybody."""
-    models = np.full(TRAFFIC, MODELS.index(model), np.int32)
+    models = np.full(TRAFFIC, TRAFFIC_MODELS.index(model), np.int32)
     return jax.tree.map(
         np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING))
     )
@@ -80,7 +80,7 @@ def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_c
     name,
 ):
     scene, lane, speed = SCENES[name]
-    for model in MODELS:
+    for model in TRAFFIC_MODELS:
         plan = planned(scene, model)
         assert np.isfinite(plan.predictions).all()
         assert not plan.broken

@@ -12,7 +12,7 @@ from roads import PLANNING, WEIGHTS, execute, scene_of
 from ms_highway.geometry.curve import BEHIND, SPACING
 from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS
 from ms_highway.road.following import Behaviour
-from ms_highway.road.proposals import LAST_PLAN, PROFILES, PROPOSALS, Profiles
+from ms_highway.road.proposals import LAST_PLAN, PROFILES, Profiles
 from ms_highway.road.score import score
 from ms_highway.road.simulation import simulate
 from ms_highway.road.traffic import situation_of
@@ -28,6 +28,7 @@ HARD = (0.0, -4.9)
 LENGTHS = (
     5.0 + 2.5
 )  # m, from a centre to the rear axle of the car behind where the bumpers touch
+PROPOSALS = len(PROFILES)
 PLANS = Profiles(*map(np.array, zip(*PROFILES, strict=True)))
 GIVEN = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS), PLANS)
 OWN = 1
@@ -96,8 +97,8 @@ def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(scene):
 def test_a_plan_that_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
     rollouts, *_ = judged(scene, KEEPING, acceleration=-6.0)
-    own = PLANS.follows & ~PLANS.closes & (PLANS.lane == OWN)
-    assert (rollouts.s[own, 0] - rollouts.states[own, :, 0] - LENGTHS).min() > 0
+    own = PLANS.follows & ~PLANS.closes_up & (PLANS.lane == OWN)
+    assert (rollouts.traffic.s[own, 0] - rollouts.states[own, :, 0] - LENGTHS).min() > 0
 
 
 def theirs(speed, distance, ahead):
@@ -123,7 +124,7 @@ def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_beh
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
         rollouts, *_ = judged(scene, KEEPING, follows=FOLLOWING)
-        acceleration = (rollouts.speeds[LAST_PLAN, 0, 0] - speed) / DT
+        acceleration = (rollouts.traffic.speed[LAST_PLAN, 0, 0] - speed) / DT
         assert acceleration == pytest.approx(theirs(speed, distance, ahead), abs=5e-3)
 
 

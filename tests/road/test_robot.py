@@ -12,7 +12,9 @@ from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.kinematics import Vehicle
 from roads import PLANNING, execute, scene_of
 
-from ms_highway.road.robot import GRIP, RoadRobot, steering_of
+from ms_highway.road.robot import RoadRobot, steering_of
+
+GRIP = RoadRobot.usual_grip
 
 
 def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
