@@ -9,8 +9,8 @@ import numpy as np
 from ms_highway.geometry.curve import Curve
 from ms_highway.irl.recording import Recording, fingerprint
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
-from ms_highway.recorded.network import fits
-from ms_highway.recorded.scenario import SPEED_LIMIT, Points, TrafficRecording
+from ms_highway.recorded.network import smooth_curves
+from ms_highway.recorded.scenario import Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.runtime.arrays import Vector
 
@@ -91,7 +91,7 @@ def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
         *cars,
         lanes,
         width,
-        SPEED_LIMIT,
+        TrafficRecording.default_speed_limit,
         labels=labels,
         fingerprint=content,
         left_out=left_out,
@@ -104,7 +104,7 @@ def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
 
     The road is the largest set of parallel lines: a ramp is parallel only to itself.
     """
-    curves = [next(fits(line)) for line in lines]
+    curves = [next(smooth_curves(line)) for line in lines]
     offsets = np.array([[_offset(curve, line) for line in lines] for curve in curves])
     most = offsets[np.isfinite(offsets).sum(axis=1).argmax()]
     leftmost = int(np.nanargmin(most))

@@ -1,24 +1,37 @@
 """Read CommonRoad scenarios of format 2020a, such as those of the US-101 highway.
 
+A file becomes a `TrafficRecording` in three steps: `read_xml` unpacks it, `_recording`
+checks its header and collects its elements, and one function for each kind of element
+makes a record of it. What differs between versions of the format stands in
+`CommonRoadFormat`.
+
 This module parses the XML elements itself: commonroad-io drops parts of shapes (which
 ones depends on its version), replaces missing numbers by zeros, and raises errors that
 do not name the element.
 """
 
 import gzip
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
-from itertools import chain
+from math import tau
 from pathlib import Path
-from typing import Any, TypeVar
 from xml.etree.ElementTree import Element, fromstring
 
 import numpy as np
 
 from ms_highway.game.scenario import TIME_STEP
-from ms_highway.geometry.curve import rotated
+from ms_highway.recorded.elements import (
+    LARGEST,
+    interval_at,
+    number_at,
+    outlines_at,
+    points_at,
+    read_each,
+    references,
+    turned_left,
+)
 from ms_highway.recorded.scenario import (
-    FULL_TURN,
     GoalRegion,
     Lanelet,
     Points,
@@ -28,55 +41,66 @@ from ms_highway.recorded.scenario import (
 )
 from ms_highway.runtime.files import reading
 
-COMPRESSED = ".xml.gz"
-ROLES = (
-    "dynamicObstacle",
-    "staticObstacle",
-    "environmentObstacle",
-)  # the last are buildings and ignored
 
-DRIVING_TYPES = {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
-"""Types of obstacles that drive in lanes; all others are replayed."""
+@dataclass(frozen=True)
+class CommonRoadFormat:
+    """Say what a version of CommonRoad's format calls things."""
 
-NO_LANES = {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
-"""Types of lanelets on which cars do not drive."""
+    version: str = "2020a"
+    """Value of the attribute ``commonRoadVersion``."""
 
-SPEED_SIGNS = {
-    "274",
-    "3.24",
-    "B14",
-    "B31",
-    "C43",
-    "R15",
-    "R2-1",
-    "r301",
-    "Ρ-32",  # noqa: RUF001
-}
-"""Ids of the speed limit signs of all countries; the Greek one begins with a Greek
-letter.
-"""
+    obstacles: tuple[str, ...] = (
+        "dynamicObstacle",
+        "staticObstacle",
+        "environmentObstacle",
+    )
+    """Tags of obstacles. Those of the environment are buildings, and are ignored."""
 
-MAX_BYTES = 100_000_000  # of a scenario's XML; those of US-101 have some millions
-MAX_STEPS, MAX_SPEED, MAX_RADIANS, MAX_COORDINATE = (
-    1e5,
-    200.0,
-    1e3,
-    1e8,
-)  # of a time, m/s, of an angle, m
-SQUARE = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
-ANGLES = (
-    2 * np.pi / 64 * np.arange(64)
-)  # rad, of the corners of the polygon that replaces a circle
+    driving_types: frozenset[str] = frozenset(
+        {"bus", "car", "motorcycle", "priorityVehicle", "taxi", "truck"}
+    )
+    """Types of obstacles that drive in lanes; all others are replayed."""
 
-Read = TypeVar("Read")
+    lanelets_without_cars: frozenset[str] = frozenset(
+        {"bicycleLane", "border", "crosswalk", "restricted_area", "sidewalk"}
+    )
+    """Types of lanelets on which cars do not drive."""
+
+    speed_signs: frozenset[str] = frozenset(
+        {
+            "274",
+            "3.24",
+            "B14",
+            "B31",
+            "C43",
+            "R15",
+            "R2-1",
+            "r301",
+            "Ρ-32",  # noqa: RUF001
+        }
+    )
+    """Ids of the speed limit signs of all countries; the Greek one begins with a Greek
+    letter.
+    """
+
+    goal_conditions: frozenset[str] = frozenset(
+        {"position", "time", "velocity", "orientation"}
+    )
+    """Conditions of a goal that can be judged here."""
+
+
+FORMAT_2020A = CommonRoadFormat()
+
+
+# Files
 
 
 def scenario_files(directory: Path) -> list[Path]:
-    """Return the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``,
-    in the order of their names.
+    """Return the CommonRoad scenarios of a directory in the order of their names.
 
     Raises:
-        ValueError: if there is no such directory, or no such file in it.
+        ValueError: if there is no such directory, or no file ``*.xml`` or ``*.xml.gz``
+            in it.
     """
     if not directory.is_dir():
         raise ValueError(
@@ -84,7 +108,7 @@ def scenario_files(directory: Path) -> list[Path]:
             " scenarios"
         )
     paths = sorted(
-        path for path in directory.iterdir() if path.name.endswith((".xml", COMPRESSED))
+        path for path in directory.iterdir() if path.name.endswith((".xml", ".xml.gz"))
     )
     if not paths:
         raise ValueError(
@@ -110,207 +134,209 @@ def read_xml(path: Path) -> bytes:
     """Return the XML of a file, unpacked.
 
     Raises:
-        ValueError: if the XML is larger than `MAX_BYTES`.
+        ValueError: if the XML is larger than 100 MB.
         OSError: if the file cannot be read.
     """
-    opened = gzip.open if path.name.endswith(COMPRESSED) else open
+    most_bytes = 100_000_000  # the scenarios of US-101 have some millions
+    opened = gzip.open if path.name.endswith(".xml.gz") else open
     with opened(path, "rb") as file:
-        xml = file.read(MAX_BYTES + 1)
-    if len(xml) > MAX_BYTES:
-        raise ValueError(f"more than {MAX_BYTES} bytes of XML")
+        xml = file.read(most_bytes + 1)
+    if len(xml) > most_bytes:
+        raise ValueError(f"more than {most_bytes} bytes of XML")
     return xml
 
 
+# A scenario
+
+
 def _recording(root: Element, source: str) -> TrafficRecording:
-    version = root.get("commonRoadVersion")
+    """Return the recording that a document holds, given the name of its file."""
+    _check_header(root)
+    _check_obstacles(root)
+
+    # The road. Goals may also be in lanelets on which cars do not drive.
+    limits = read_each(root, "trafficSign", _speed_limits)
+    lanelets = read_each(root, "lanelet", partial(_lanelet, limits=limits))
+    is_for_cars = read_each(root, "lanelet", _is_for_cars)
+    areas = {
+        number: np.concatenate([lanelet.left, lanelet.right[::-1]])
+        for number, lanelet in lanelets.items()
+    }
+
+    # What moves on it, and the planning problems.
+    problems = read_each(root, "planningProblem", partial(_problem, areas=areas))
+    moving = read_each(root, "dynamicObstacle", _moving_track)
+    if not any(len(track.samples) > 1 for track in moving.values()):
+        raise ValueError("there is no driving: no dynamic obstacle has two samples")
+
+    # What stands, until the recording ends.
+    ends = [track.last for track in moving.values()]
+    ends += [problem.last for problem in problems.values()]
+    standing = read_each(
+        root, "staticObstacle", partial(_standing_track, last=max(ends))
+    )
+
     name = root.get("benchmarkID", "")
-    if root.tag != "commonRoad" or version != "2020a" or not name:
+    return TrafficRecording(
+        name=name,
+        group=_group_of(name),
+        source=source,
+        lanelets=tuple(
+            lanelet for number, lanelet in lanelets.items() if is_for_cars[number]
+        ),
+        tracks=(*moving.values(), *standing.values()),
+        problems=tuple(problems.values()),
+    )
+
+
+def _check_header(root: Element) -> None:
+    """Raise an error unless a document is a scenario of this format and time step."""
+    version = root.get("commonRoadVersion")
+    if (
+        root.tag != "commonRoad"
+        or version != FORMAT_2020A.version
+        or not root.get("benchmarkID")
+    ):
         raise ValueError(
-            f"<{root.tag}> of version {version!r} is no <commonRoad> of version 2020a"
-            " with a benchmarkID"
+            f"<{root.tag}> of version {version!r} is no <commonRoad> of version"
+            f" {FORMAT_2020A.version} with a benchmarkID"
         )
-    if not np.isclose(float(step := root.get("timeStepSize", "nan")), TIME_STEP):
+    step = float(root.get("timeStepSize", "nan"))
+    if not np.isclose(step, TIME_STEP):
         raise ValueError(
             f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s"
         )
+
+
+def _check_obstacles(root: Element) -> None:
+    """Raise an error for an obstacle with a tag that this format does not have."""
     for element in root:
-        if element.tag.endswith("Obstacle") and element.tag not in ROLES:
+        if (
+            element.tag.endswith("Obstacle")
+            and element.tag not in FORMAT_2020A.obstacles
+        ):
             raise ValueError(
                 f"{element.tag} {element.get('id')!r:.40} cannot be read; only"
-                f" {', '.join(ROLES)} can"
+                f" {', '.join(FORMAT_2020A.obstacles)} can"
             )
-    limits = _each(root, "trafficSign", _speed_limits)
-    lanelets = _each(root, "lanelet", partial(_lanelet, limits=limits))
-    areas = {
-        number: np.concatenate([lane.left, lane.right[::-1]])
-        for number, (lane, _) in lanelets.items()
-    }
-    lanes = tuple(lane for lane, drivable in lanelets.values() if drivable)
-    problems = tuple(
-        _each(root, "planningProblem", partial(_problem, areas=areas)).values()
-    )
-    tracks = tuple(_each(root, "dynamicObstacle", _track).values())
-    if not any(len(track.samples) > 1 for track in tracks):
-        raise ValueError("there is no driving: no dynamic obstacle has two samples")
-    last = max(
-        [track.last for track in tracks] + [problem.last for problem in problems]
-    )
-    return TrafficRecording(
-        name=name,
-        group=name.split("_")[
-            min(1, name.count("_"))
-        ],  # USA_US101-17_1_T-1 is cut from US101-17
-        source=source,
-        lanelets=lanes,
-        tracks=(
-            *tracks,
-            *_each(root, "staticObstacle", partial(_standing, last=last)).values(),
-        ),
-        problems=problems,
-    )
 
 
-def _each(
-    root: Element, tag: str, read: Callable[[int, Element], Read]
-) -> dict[int, Read]:
-    """Return what ``read`` makes of each element with a tag, by the elements' ids;
-    errors name the element.
+def _group_of(name: str) -> str:
+    """Return the name of the recording from which a scenario was cut.
+
+    ``USA_US101-17_1_T-1`` is cut from ``US101-17``; a name without parts is its own
+    group.
     """
-    found: dict[int, Read] = {}
-    for element in root.iterfind(tag):
-        try:
-            number = int(element.get("id", ""))
-            if number in found:
-                raise ValueError("another one has the same id")
-            found[number] = read(number, element)
-        except ValueError as error:
-            raise ValueError(f"{tag} {element.get('id', '')[:40]}: {error}") from error
-    return found
+    parts = name.split("_")
+    return parts[1] if len(parts) > 1 else parts[0]
 
 
-def _references(element: Element, tag: str) -> tuple[int, ...]:
-    """Return the ids to which the elements with a tag refer."""
-    return tuple(int(one.get("ref", "")) for one in element.iterfind(tag))
+# The road
 
 
-def _number(
-    element: Element,
-    path: str,
-    most: float = MAX_COORDINATE,
-    default: float | None = None,
-) -> float:
-    """Return the number at a path of tags below an element, or the default where there
-    is none.
-
-    Raises:
-        ValueError: for a number that is not from ``-most`` to ``most``.
-    """
-    text = element.findtext(path)
-    if text is None and default is not None:
-        return default
-    try:
-        found = float(text or "")
-    except ValueError:
-        found = np.nan
-    if not abs(found) <= most:
-        raise ValueError(
-            f"<{path}> of <{element.tag}> is {text!r:.40}; it must be from {-most:g} to"
-            f" {most:g}"
-        )
-    return found
-
-
-def _points(element: Element, path: str) -> Points:
-    return np.array(
-        [[_number(point, axis) for axis in "xy"] for point in element.iterfind(path)]
-    ).reshape(-1, 2)
-
-
-def _speed_limits(_: int, element: Element) -> list[float]:
+def _speed_limits(_: int, sign: Element) -> list[float]:
     """Return the speed limits that a traffic sign shows [m/s]."""
-    shown = element.iterfind("trafficSignElement")
     limits = [
-        _number(one, "additionalValue")
-        for one in shown
-        if one.findtext("trafficSignID") in SPEED_SIGNS
+        number_at(shown, "additionalValue")
+        for shown in sign.iterfind("trafficSignElement")
+        if shown.findtext("trafficSignID") in FORMAT_2020A.speed_signs
     ]
-    if not all(1 <= limit <= MAX_SPEED for limit in limits):
+    if not all(1 <= limit <= LARGEST.speed for limit in limits):
         raise ValueError(
             f"it shows <additionalValue> {limits} m/s; limits are from 1 to"
-            f" {MAX_SPEED:g} m/s"
+            f" {LARGEST.speed:g} m/s"
         )
     return limits
 
 
 def _lanelet(
-    number: int, element: Element, limits: dict[int, list[float]]
-) -> tuple[Lanelet, bool]:
-    """Return a lanelet, and whether cars drive on it."""
-    left = _points(element, "leftBound/point")
-    right = _points(element, "rightBound/point")
+    number: int, element: Element, limits: Mapping[int, list[float]]
+) -> Lanelet:
+    """Return a lanelet, given the speed limits that each traffic sign shows."""
+    left = points_at(element, "leftBound/point")
+    right = points_at(element, "rightBound/point")
     if (
         len(left) != len(right)
         or len(left) < 2
         or not np.ptp(left + right, axis=0).any()
     ):
-        counts = f"its bounds have {len(left)} and {len(right)} points"
         raise ValueError(
-            f"{counts}; they need the same number, two or more, around a middle line"
+            f"its bounds have {len(left)} and {len(right)} points; they need the same"
+            " number, two or more, around a middle line"
         )
-    signs = _references(element, "trafficSignRef")
-    if missing := set(signs) - limits.keys():
+    signs = references(element, "trafficSignRef")
+    missing = set(signs) - limits.keys()
+    if missing:
         raise ValueError(f"there is no trafficSign {min(missing)}, to which it refers")
-    sides = (
-        element.find(f"{side}[@drivingDir='same']")
-        for side in ("adjacentLeft", "adjacentRight")
+    shown = [limit for sign in signs for limit in limits[sign]]
+    return Lanelet(
+        number=number,
+        left=left,
+        right=right,
+        before=references(element, "predecessor"),
+        after=references(element, "successor"),
+        beside=(
+            _neighbour(element, "adjacentLeft"),
+            _neighbour(element, "adjacentRight"),
+        ),
+        limit=min(shown, default=None),
     )
-    beside_left, beside_right = (
-        None if side is None else int(side.get("ref", "")) for side in sides
-    )
-    before = _references(element, "predecessor")
-    after = _references(element, "successor")
-    limit = min(chain(*(limits[sign] for sign in signs)), default=None)
-    lanelet = Lanelet(
-        number, left, right, before, after, (beside_left, beside_right), limit
-    )
-    return lanelet, not NO_LANES & {
-        kind.text for kind in element.iterfind("laneletType")
-    }
 
 
-def _track(number: int, element: Element) -> RecordedTrack:
-    """Return the track of a moving obstacle."""
-    if element.find("occupancySet") is not None:
+def _neighbour(lanelet: Element, tag: str) -> int | None:
+    """Return the id of the lanelet on a side on which traffic goes the same way."""
+    side = lanelet.find(f"{tag}[@drivingDir='same']")
+    return None if side is None else int(side.get("ref", ""))
+
+
+def _is_for_cars(_: int, lanelet: Element) -> bool:
+    """Return whether cars drive on a lanelet."""
+    types = {kind.text for kind in lanelet.iterfind("laneletType")}
+    return not types & FORMAT_2020A.lanelets_without_cars
+
+
+# Obstacles
+
+
+def _moving_track(number: int, obstacle: Element) -> RecordedTrack:
+    """Return the track of a dynamic obstacle."""
+    if obstacle.find("occupancySet") is not None:
         raise ValueError(
             "only a <trajectory> can be read, and it has an <occupancySet>"
         )
-    states = _initial_state(element), *element.iterfind("trajectory/state")
+    states = [_initial_state(obstacle), *obstacle.iterfind("trajectory/state")]
     samples = np.array([_sample(state) for state in states])
     if not (np.diff(samples[:, 0]) >= 1).all():
         raise ValueError("its times do not follow each other")
-    return _boxed(number, element, samples, element.findtext("type") in DRIVING_TYPES)
+    drives = obstacle.findtext("type") in FORMAT_2020A.driving_types
+    return _track_of_box(number, obstacle, samples, drives)
 
 
-def _standing(number: int, element: Element, last: int) -> RecordedTrack:
+def _standing_track(number: int, obstacle: Element, last: int) -> RecordedTrack:
     """Return the track of a static obstacle until the last step."""
-    pose = _pose(_initial_state(element))
+    pose = _pose(_initial_state(obstacle))
     samples = np.array([(step, *pose, 0.0) for step in range(last + 1)])
-    return _boxed(number, element, samples, False)
+    return _track_of_box(number, obstacle, samples, drives=False)
 
 
-def _boxed(
-    number: int, element: Element, samples: np.ndarray, drives: bool
+def _track_of_box(
+    number: int, obstacle: Element, samples: np.ndarray, drives: bool
 ) -> RecordedTrack:
-    """Return the track of the box around the shapes of an obstacle, whose samples are
-    of the shapes' origin.
+    """Return the track of the box around the shapes of an obstacle.
+
+    Args:
+        number: id of the obstacle.
+        obstacle: has the shapes.
+        samples: of the origin of the shapes [times, 5]; the middle of the box may be
+            elsewhere.
+        drives: whether the obstacle drives in lanes.
     """
-    corners = np.concatenate(_outlines(element))
+    corners = np.concatenate(outlines_at(obstacle))
     low = corners.min(axis=0)
     high = corners.max(axis=0)
     length, width = (high - low).tolist()
-    samples[:, 1:3] += _turned(
-        np.tile((low + high) / 2, (len(samples), 1)), samples[:, 3]
-    )
+    middles = np.tile((low + high) / 2, (len(samples), 1))
+    samples[:, 1:3] += turned_left(middles, samples[:, 3])
     return RecordedTrack(number, (length, width), samples, drives)
 
 
@@ -323,98 +349,66 @@ def _initial_state(element: Element) -> Element:
 
 def _pose(state: Element) -> tuple[float, float, float]:
     """Return x, y and orientation of a state; intervals are refused."""
-    x, y = (_number(state, f"position/point/{axis}") for axis in "xy")
-    return x, y, _number(state, "orientation/exact", MAX_RADIANS)
+    x = number_at(state, "position/point/x")
+    y = number_at(state, "position/point/y")
+    return x, y, number_at(state, "orientation/exact", LARGEST.angle)
 
 
-def _sample(state: Element) -> list[float]:
+def _sample(state: Element) -> tuple[int, float, float, float, float]:
     """Return the time step, x, y, orientation and speed of a state."""
-    time = _number(state, "time/exact", MAX_STEPS)
+    time = number_at(state, "time/exact", LARGEST.step)
     if time < 0:
         raise ValueError(f"<time> of <{state.tag}> is {time}; it must not be negative")
-    return [round(time), *_pose(state), _number(state, "velocity/exact", MAX_SPEED)]
+    pose = _pose(state)
+    return round(time), *pose, number_at(state, "velocity/exact", LARGEST.speed)
 
 
-def _problem(number: int, element: Element, areas: dict[int, Points]) -> Problem:
+# Planning problems
+
+
+def _problem(number: int, element: Element, areas: Mapping[int, Points]) -> Problem:
+    """Return a planning problem, given the corners of each lanelet."""
     time, x, y, orientation, speed = _sample(_initial_state(element))
     goals = tuple(
         goal for state in element.iterfind("goalState") for goal in _goals(state, areas)
     )
     if speed < 0 or not goals or max(goal.times[1] for goal in goals) <= time:
         raise ValueError("it starts backwards, or has no goal after its start")
-    return Problem(number, (x, y, orientation, speed), int(time), goals)
+    return Problem(number, (x, y, orientation, speed), time, goals)
 
 
-def _goals(state: Element, areas: dict[int, Points]) -> Iterator[GoalRegion]:
-    """Yield a goal for each shape or lanelet of a goal's position, or one goal without
-    a region.
+def _goals(state: Element, areas: Mapping[int, Points]) -> Iterator[GoalRegion]:
+    """Yield a goal for each shape or lanelet of a goal's position, or one without a
+    region.
     """
-    parts = {part.tag for part in state}
-    if unknown := parts - {"position", "time", "velocity", "orientation"}:
+    conditions = {part.tag for part in state}
+    unknown = conditions - FORMAT_2020A.goal_conditions
+    if unknown:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
-    first, last = _interval(state, "time", MAX_STEPS)
-    speeds = _interval(state, "velocity", MAX_SPEED) if "velocity" in parts else None
-    headings = (
-        _interval(state, "orientation", MAX_RADIANS) if "orientation" in parts else None
-    )
-    if headings and headings[1] - headings[0] >= FULL_TURN:
-        headings = None
-    regions: list[Points | None] = [None]
-    if "position" in parts:
-        numbers = _references(state, "position/lanelet")
-        if missing := set(numbers) - areas.keys():
-            raise ValueError(
-                f"there is no lanelet {min(missing)}, to which a goal refers"
-            )
-        regions = [areas[number] for number in numbers] or [
-            *_outlines(state, "position/*")
-        ]
+
+    first, last = interval_at(state, "time", LARGEST.step)
+    speeds = None
+    if "velocity" in conditions:
+        speeds = interval_at(state, "velocity", LARGEST.speed)
+    headings = None
+    if "orientation" in conditions:
+        headings = interval_at(state, "orientation", LARGEST.angle)
+        if headings[1] - headings[0] >= tau:
+            headings = None  # every heading is within a full turn
+
+    regions: list[Points] | list[None] = [None]
+    if "position" in conditions:
+        regions = _goal_regions(state, areas)
     for region in regions:
         yield GoalRegion((round(first), round(last)), region, speeds, headings)
 
 
-def _interval(state: Element, tag: str, most: float) -> tuple[float, float]:
-    """Return both ends of an interval; of an exact value, return it twice."""
-    ends = (
-        ("intervalStart", "intervalEnd")
-        if state.find(f"{tag}/exact") is None
-        else ("exact", "exact")
-    )
-    first, last = (_number(state, f"{tag}/{end}", most) for end in ends)
-    if first > last:
-        raise ValueError(f"<{tag}> of a goal ends before it begins")
-    return first, last
-
-
-def _outlines(element: Element, path: str = "shape/*") -> list[Points]:
-    """Return the corners of each shape at a path below an element."""
-    found = [_outline(piece) for piece in element.iterfind(path)]
-    if not found:
-        raise ValueError(f"<{element.tag}> lacks a shape")
-    return found
-
-
-def _outline(piece: Element) -> Points:
-    if piece.tag == "polygon":
-        corners = _points(piece, "point")
-    elif piece.tag == "circle":
-        corners = _number(piece, "radius") * np.stack(
-            [np.cos(ANGLES), np.sin(ANGLES)], axis=-1
-        )
-    elif piece.tag == "rectangle":
-        corners = SQUARE * [_number(piece, "length"), _number(piece, "width")]
-        corners[:, 0] -= _number(piece, "originXShift", default=0.0)
-        corners = _turned(corners, _number(piece, "orientation", MAX_RADIANS, 0.0))
-    else:
-        raise ValueError(
-            f"<{piece.tag}> is none of the shapes that can be read: rectangle, circle"
-            " and polygon"
-        )
-    if len(corners) < 3 or not np.ptp(corners, axis=0).all():
-        raise ValueError(f"<{piece.tag}> has no area")
-    return corners + [_number(piece, f"center/{axis}", default=0.0) for axis in "xy"]
-
-
-def _turned(vectors: Points, angle: Any) -> Points:
-    """Return vectors turned to the left by an angle [rad]."""
-    return np.stack(rotated(vectors[..., 0], vectors[..., 1], -angle), axis=-1)
+def _goal_regions(state: Element, areas: Mapping[int, Points]) -> list[Points]:
+    """Return the corners of the lanelets or, without any, of the shapes of a goal."""
+    lanelets = references(state, "position/lanelet")
+    missing = set(lanelets) - areas.keys()
+    if missing:
+        raise ValueError(f"there is no lanelet {min(missing)}, to which a goal refers")
+    if lanelets:
+        return [areas[number] for number in lanelets]
+    return outlines_at(state, "position/*")

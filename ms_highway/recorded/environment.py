@@ -2,184 +2,21 @@
 time.
 """
 
-from collections.abc import Iterator
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-import msgspec
 import numpy as np
 from highway_env.envs.common.action import DiscreteMetaAction
-from highway_env.utils import rect_corners
 from msgspec import Meta, Struct
 
-from ms_highway.envs.configuration import RANGES, TYPES, Config, keys_of
+from ms_highway.envs.configuration import RANGES, TYPES, Config, Types, keys_of
 from ms_highway.envs.configured import ConfiguredEnv
-from ms_highway.game.scenario import TIME_STEP
-from ms_highway.geometry.bodies import separation
-from ms_highway.geometry.curve import Pose, wrapped
-from ms_highway.geometry.road_map import Spot
-from ms_highway.recorded.scenario import (
-    FULL_TURN,
-    SHIPPED,
-    GoalRegion,
-    Points,
-    Problem,
-    RecordedTrack,
-    TrafficRecording,
-    open_recording,
-)
+from ms_highway.recorded.opening import SHIPPED_RECORDING, open_recording
+from ms_highway.recorded.planning_problem import problem_of, timed_goal
+from ms_highway.recorded.scenario import Points, Problem, TrafficRecording
 from ms_highway.recorded.straight_road import StraightRoad, straight_road
-from ms_highway.recorded.traffic import RecordedRoad, sized
+from ms_highway.recorded.traffic import RecordedRoad, set_size
 from ms_highway.road.stock import GoalEnv
-from ms_highway.road.timed_goal import TimedGoal
 from ms_highway.runtime.limits import Number
-
-# Planning problems
-
-# steps by which the ego may reach the last position of a recorded vehicle later than
-# that vehicle
-LATE = 20
-GOAL_SIZE = (
-    4.0,
-    3.0,
-)  # m, length along the road and width of the region around that position
-SAME_HEADING = (
-    np.pi / 6
-)  # rad, largest turn of a recorded vehicle that is the ego of a planning problem
-
-
-def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
-    """Return a planning problem of a scenario, or the problem to go where a recorded
-    vehicle went.
-
-    If the vehicle of a planning problem was recorded, too, the ego takes its place. It
-    is the vehicle that drives where the problem starts, in about the same direction:
-    the middle of one body is within the other, as two vehicles cannot be. Vehicles of
-    other planning problems stay.
-
-    Args:
-        scenario: the recording.
-        ego: ``problem`` for the first planning problem, ``problem:NUMBER``, or the
-            number of a vehicle's track.
-
-    Raises:
-        ValueError: if there is no such planning problem, no such vehicle, or the
-            vehicle was seen only once; if another body overlaps the ego at the start.
-    """
-    problem = _chosen(scenario, ego)
-    if problem.track is None:
-        problem = msgspec.structs.replace(
-            problem, track=_recorded_as(scenario, problem)
-        )
-
-    # Whatever else is there would collide with the ego at once.
-    for track, pose in _seen(scenario, problem.time):
-        if (
-            track.number != problem.track
-            and separation(problem.start[:3], problem.size, pose, track.size) < 0
-        ):
-            place = (
-                f"the start of the ego, config['ego'] {ego!r}, overlaps obstacle"
-                f" {track.number}"
-            )
-            raise ValueError(f"{place}; mend the file or choose another ego")
-    return problem
-
-
-def _seen(
-    scenario: TrafficRecording, step: int
-) -> Iterator[tuple[RecordedTrack, Pose]]:
-    """Yield the tracks that were seen at a step, with x, y and orientation there."""
-    for track in scenario.tracks:
-        if track.first <= step <= track.last:
-            _, x, y, orientation, _ = track.at(np.array([step]))[0]
-            yield track, (x, y, orientation)
-
-
-def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
-    """Return the number of the track of the vehicle that a planning problem is about,
-    None if it was not recorded.
-    """
-    own = problem.start[:3]
-    point = np.zeros(2)
-    found = {}
-    for track, pose in _seen(scenario, problem.time):
-        own_inside = separation(own, point, pose, track.size) < 0
-        other_inside = separation(own, problem.size, pose, point) < 0
-        same_way = abs(wrapped(pose[2] - own[2])) <= SAME_HEADING
-        if track.drives and same_way and (own_inside or other_inside):
-            found[track.number] = np.hypot(pose[0] - own[0], pose[1] - own[1])
-    return min(found, key=lambda number: found[number], default=None)
-
-
-def _chosen(scenario: TrafficRecording, ego: str | int) -> Problem:
-    """Return the problem of an ego as the recording has it; see `problem_of`."""
-    vehicles = {
-        track.number: track
-        for track in scenario.tracks
-        if track.drives and len(track.samples) > 1
-    }
-    if isinstance(ego, str):
-        number = ego.partition(":")[2]
-        for problem in scenario.problems:
-            if number in ("", str(problem.number)):
-                return problem
-        known = [f"'problem:{problem.number}'" for problem in scenario.problems]
-        choices = " or ".join(
-            [*known, f"a vehicle, such as {next(iter(vehicles), 'none here')}"]
-        )
-        raise ValueError(
-            f"there is no planning {ego.replace(':', ' ')}, config['ego']; choose"
-            f" {choices}"
-        )
-    if ego not in vehicles:
-        choices = ", ".join(map(str, vehicles))
-        raise ValueError(
-            f"config['ego'] is {ego}, which is no vehicle that was seen twice; choose"
-            f" one of {choices}"
-        )
-    track = vehicles[ego]
-    (_, *start), (_, x, y, orientation, _) = track.samples[[0, -1]].tolist()
-    goal = GoalRegion(
-        (track.first, track.last + LATE), rect_corners((x, y), *GOAL_SIZE, orientation)
-    )
-    return Problem(ego, tuple(start), track.first, (goal,), track.size, ego)
-
-
-def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
-    """Return where to be and when, since the start, for the first goal that has a
-    region; None without one.
-    """
-    for goal in problem.goals:
-        if goal.area is None:
-            continue
-        position = road.axes.positions(goal.area.mean(axis=0))
-        heading = None
-        if goal.headings:
-            low, high = goal.headings
-            heading = float(road.axes.headings(low + (high - low) % FULL_TURN / 2))
-        index = road.network.get_closest_lane_index(position, heading)
-        place, _ = road.network.get_lane(index).local_coordinates(position)
-        first, last = (
-            max(TIME_STEP * (time - problem.time), 0.0) for time in goal.times
-        )
-        return TimedGoal(
-            Spot(index, place), position, (first, last), goal.speeds or (0.0, np.inf)
-        )
-    return None
-
-
-# The environment
-
-EGO_REMEDY = (
-    "say 'problem' or 'problem:NUMBER' for a planning problem, or give the number of a"
-    " recorded vehicle"
-)
-# distance of a start from the nearest lane, in its widths, beyond which the start is
-# not on the road
-OFF_LANE = 1.0
-# m/s, least desired speed of a robot without a timed goal: otherwise its speed at the
-# start
-MIN_DESIRED_SPEED = 5.0
 
 
 class RecordedSettings(Struct, frozen=True):
@@ -187,12 +24,21 @@ class RecordedSettings(Struct, frozen=True):
 
     recording: Annotated[
         str,
-        Meta(description=f"give the file of a CommonRoad scenario, or say {SHIPPED!r}"),
+        Meta(
+            description=(
+                f"give the file of a CommonRoad scenario, or say {SHIPPED_RECORDING!r}"
+            )
+        ),
     ]
     traffic: Literal["learned", "replay", "idm"]
     ego: Annotated[
         Annotated[str, Meta(pattern=r"^problem(:[0-9]+)?\Z")] | int,
-        Meta(description=EGO_REMEDY),
+        Meta(
+            description=(
+                "say 'problem' or 'problem:NUMBER' for a planning problem, or give the"
+                " number of a recorded vehicle"
+            )
+        ),
     ]
     goal_reward: Number
     collision_reward: Number
@@ -243,8 +89,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     """
 
     settings_type = RecordedSettings
-    scenario: TrafficRecording
-    types = {  # noqa: RUF012
+    types: ClassVar[Types] = {
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),
             "ContinuousAction": RANGES | {"dynamical": Any},
@@ -256,6 +101,16 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             if not name.endswith("States")
         },
     }
+    farthest_start: ClassVar[float] = 1.0
+    """Distance of a start from the nearest lane, in its widths, beyond which the start
+    is not on the road.
+    """
+    min_desired_speed: ClassVar[float] = 5.0
+    """Least desired speed of a robot without a timed goal [m/s]: otherwise its speed at
+    the start.
+    """
+
+    scenario: TrafficRecording
 
     @classmethod
     def default_config(cls) -> Config:
@@ -270,7 +125,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
                 "type": "DiscreteMetaAction",
                 "target_speeds": [0, 4, 8, 12, 16, 20, 24, 28],
             },
-            "recording": SHIPPED,
+            "recording": SHIPPED_RECORDING,
             "traffic": "learned",
             "ego": "problem",
             "goal_reward": 1.0,
@@ -292,41 +147,49 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             raise ValueError(f"{scenario.source}: {error}") from error
 
     def _build(self, scenario: TrafficRecording) -> None:
+        """Build an episode; change the environment only if everything is possible."""
         task = problem_of(scenario, self.settings.ego)
         straight = straight_road(scenario)
         x, y, orientation, speed = task.start
         position = straight.axes.positions([x, y])
         heading = float(straight.axes.headings(orientation))
-        lane = straight.network.get_lane(
-            straight.network.get_closest_lane_index(position, heading)
-        )
-        if lane.distance(position) > OFF_LANE * lane.width_at(0.0):
-            raise ValueError(
-                f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the"
-                " file or leave it out"
-            )
+        self._check_on_lane(task, straight, position, heading)
+
         road = RecordedRoad(
             scenario, task.time, task.track, self.settings.traffic, self.np_random
         )
-        vehicle = sized(
-            self.action_type.vehicle_class(
-                road, position, heading=heading, speed=speed
-            ),
-            task.size,
+        ego = self.action_type.vehicle_class(
+            road, position, heading=heading, speed=speed
         )
-        vehicle.check_collisions = False
-        road.vehicles.insert(0, vehicle)
+        set_size(ego, task.size)
+        ego.check_collisions = False
+        road.vehicles.insert(0, ego)
+        goal = timed_goal(task, straight)
+
         self.scenario = scenario
         self.task = task
         self.road = road
         self.axes = straight.axes
-        self.goal = timed_goal(task, straight)
-        self.desired_speed = max(speed, MIN_DESIRED_SPEED)
-        self.controlled_vehicles = [vehicle]
+        self.goal = goal
+        self.desired_speed = max(speed, self.min_desired_speed)
+        self.controlled_vehicles = [ego]
         self.success = False
         self.off_road = False
         self.progress = 0.0
-        self._along = float(road.states[vehicle][0])
+        self._along = float(road.states[ego][0])
+
+    def _check_on_lane(
+        self, task: Problem, straight: StraightRoad, position: Points, heading: float
+    ) -> None:
+        """Raise an error unless there is a lane under the start of a problem."""
+        index = straight.network.get_closest_lane_index(position, heading)
+        lane = straight.network.get_lane(index)
+        if lane.distance(position) > self.farthest_start * lane.width_at(0.0):
+            x, y, _, _ = task.start
+            raise ValueError(
+                f"there is no lanelet under the start, ({x:.1f}, {y:.1f}); mend the"
+                " file or leave it out"
+            )
 
     @property
     def goal_areas(self) -> list[Points]:
@@ -337,23 +200,25 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             if goal.area is not None
         ]
 
-    def _simulate(self, action: Any = None) -> None:
+    def _simulate(self, action: object = None) -> None:
         """Let all vehicles act and move for a step; find out whether the ego has
         reached the goal or left the road.
         """
         super()._simulate(action)
         ego = self.vehicle
         road = self.road
+
         along = float(road.states[ego][0])
         self.progress = along - self._along
         self._along = along
+
         self.off_road |= not road.straight.covers(ego.polygon()[:-1])
         orientation = float(self.axes.headings(ego.heading))
         point = self.axes.points(ego.position)
         reached = self.task.is_reached(road.now, point, orientation, ego.speed)
         self.success |= reached and not ego.crashed and not self.off_road
 
-    def _rewards(self, action: Any) -> dict[str, float]:
+    def _rewards(self, action: object) -> dict[str, float]:
         return {
             "goal_reward": float(self.success),
             "collision_reward": float(self.vehicle.crashed),
@@ -361,10 +226,9 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
             "progress_reward": self.progress,
         }
 
-    def _reward(self, action: Any) -> float:
-        return sum(
-            self.config[name] * value for name, value in self._rewards(action).items()
-        )
+    def _reward(self, action: object) -> float:
+        rewards = self._rewards(action)
+        return sum(self.config[name] * value for name, value in rewards.items())
 
     def _is_terminated(self) -> bool:
         return bool(self.success or self.vehicle.crashed or self.off_road)
@@ -372,18 +236,18 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     def _is_truncated(self) -> bool:
         return self.road.now >= self.task.last
 
-    def _info(self, obs: Any, action: Any = None) -> Config:
+    def _info(self, obs: object, action: object = None) -> Config:
         waiting = {track.number for track in self.road.waiting}
+        is_waiting = [track.number in waiting for track in self.scenario.tracks]
+        recorded = {
+            "step": self.road.now,
+            "success": self.success,
+            "collision": bool(self.vehicle.crashed),
+            "off_road": self.off_road,
+            "replaced": -1 if self.task.track is None else self.task.track,
+            "waiting": np.array(is_waiting),
+        }
         return super()._info(obs, action) | {
             "is_success": self.success,
-            "recorded": {
-                "step": self.road.now,
-                "success": self.success,
-                "collision": bool(self.vehicle.crashed),
-                "off_road": self.off_road,
-                "replaced": -1 if self.task.track is None else self.task.track,
-                "waiting": np.array(
-                    [track.number in waiting for track in self.scenario.tracks]
-                ),
-            },
+            "recorded": recorded,
         }

@@ -2,40 +2,49 @@
 which merge, branch and end.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain, compress
-from typing import Any, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from highway_env.road.lane import AbstractLane, LineType
 from highway_env.road.road import LaneIndex, RoadNetwork
-from jaxtyping import Float
+from jaxtyping import Float, Int
+from numpy.typing import ArrayLike
 from scipy.interpolate import make_smoothing_spline
 
 from ms_highway.geometry.curve import Curve, arc_lengths, resample, wrapped
-from ms_highway.recorded.scenario import SPEED_LIMIT, Lanelet, Points
-from ms_highway.runtime.arrays import State
+from ms_highway.recorded.scenario import Lanelet, Points, TrafficRecording
+from ms_highway.runtime.arrays import Numbers, State
 
 Values = Float[np.ndarray, "n"]
 
-STEP = 1.0  # m, between samples of a lane
-SPACING = 0.5  # m, between samples of curves
-SMOOTHED = (
-    10.0,
-    5.0,
-    2.5,
-    1.25,
-    0.625,
-)  # m; waves shorter than 2 pi times this, at first about 60 m, are smoothed away
-MIN_POINTS = 5  # for which a smoothing spline can be fitted
-BRIDGED = 60.0  # m of the lanes before and after a lane with which it is smoothed
-# m, by which a lane may be farther away than the nearest one, and be closer counting
-# the heading
-CLOSE = 5.0
-WITHIN = (
-    0.1  # m, largest distance from the middle of a lanelet to the middle of its lane
-)
+
+@dataclass(frozen=True)
+class LaneSmoothing:
+    """Set how lanelets are smoothed: lines of maps have kinks that would look like
+    steering.
+    """
+
+    scales: tuple[float, ...] = (10.0, 5.0, 2.5, 1.25, 0.625)
+    """Waves shorter than 2 pi times a scale are smoothed away, at first about 60 m [m].
+    The next scale is tried where a lane would leave its lanelet.
+    """
+    max_deviation: float = 0.1
+    """Largest distance from the middle of a lanelet to the middle of its lane [m]."""
+    neighbour_length: float = 60.0
+    """Length of the lanes before and after a lane with which it is smoothed [m]."""
+    curve_spacing: float = 0.5
+    """Distance between the samples of a curve [m]."""
+    lane_spacing: float = 1.0
+    """Distance between the samples of a lane [m]."""
+    min_points: int = 5
+    """Number of points for which a smoothing spline can be fitted."""
+
+
+SMOOTHING = LaneSmoothing()
 
 
 class Axes(NamedTuple):
@@ -58,20 +67,18 @@ class Axes(NamedTuple):
         """
         lines = [lanelet.centre for lanelet in lanelets]
         along = np.sum([line[-1] - line[0] for line in lines], axis=0)
-        return cls(
-            np.round(np.concatenate(lines).mean(axis=0)),
-            float(np.arctan2(along[1], along[0])),
-        )
+        middle = np.concatenate(lines).mean(axis=0)
+        return cls(np.round(middle), float(np.arctan2(along[1], along[0])))
 
-    def positions(self, points: Any) -> Points:
+    def positions(self, points: ArrayLike) -> Points:
         """Return points of the map in highway-env's axes."""
         return (np.asarray(points, dtype=float) - self.origin) @ self._mirror
 
-    def points(self, positions: Any) -> Points:
+    def points(self, positions: ArrayLike) -> Points:
         """Return positions of highway-env in the map."""
         return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
 
-    def headings(self, orientations: Any) -> Any:
+    def headings(self, orientations: ArrayLike) -> Numbers:
         """Convert orientations in the map to headings in highway-env's axes, or
         headings to orientations [rad].
         """
@@ -82,12 +89,12 @@ class Axes(NamedTuple):
         track [times, 5].
         """
         _, _, _, orientations, speeds = samples.T
-        return np.column_stack(
-            [self.positions(samples[:, 1:3]), self.headings(orientations), speeds]
-        )
+        positions = self.positions(samples[:, 1:3])
+        return np.column_stack([positions, self.headings(orientations), speeds])
 
     @property
     def _mirror(self) -> np.ndarray:
+        """The matrix that turns the axes and reverses y; it is symmetric."""
         cosine = np.cos(self.turn)
         sine = np.sin(self.turn)
         return np.array([[cosine, sine], [sine, -cosine]])
@@ -146,28 +153,33 @@ class LaneletNetwork(RoadNetwork):
     that may be the closest one.
     """
 
+    heading_allowance: ClassVar[float] = 5.0
+    """Distance by which a lane may be farther away than the nearest one, and still be
+    closer when headings count [m].
+    """
+
     @cached_property
-    def _samples(self) -> tuple[Points, np.ndarray]:
+    def _samples(self) -> tuple[Points, Int[np.ndarray, "lanes"]]:
         """Centres of all lanes, one lane after the other, and the index of the first
         one of each lane.
         """
         centres = [lane.centres for lane in self.lanes_list()]
-        return np.concatenate(centres), np.cumsum([0, *map(len, centres[:-1])])
+        numbers = [len(line) for line in centres[:-1]]
+        return np.concatenate(centres), np.cumsum([0, *numbers])
 
     def get_closest_lane_index(
         self, position: np.ndarray, heading: float | None = None
     ) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
-        distances = np.minimum.reduceat(np.hypot(*(samples - position).T), firsts)
-        close = distances < distances.min() + CLOSE
-        near = compress(self.lanes_dict(), close)
-        return min(
-            near,
-            key=lambda index: self.get_lane(index).distance_with_heading(
-                position, heading
-            ),
-        )
+        x, y = (samples - position).T
+        distances = np.minimum.reduceat(np.hypot(x, y), firsts)  # [lanes]
+        may_be_closest = distances < distances.min() + self.heading_allowance
+
+        def exact_distance(index: LaneIndex) -> float:
+            return self.get_lane(index).distance_with_heading(position, heading)
+
+        return min(compress(self.lanes_dict(), may_be_closest), key=exact_distance)
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
@@ -178,118 +190,170 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
         ValueError: for a lanelet that is beside itself, two roads between the same
             places, or too sharp a turn.
     """
-    known = {lanelet.number: lanelet for lanelet in lanelets}
+    by_number = {lanelet.number: lanelet for lanelet in lanelets}
     network = LaneletNetwork()
-    roads = [*_roads(known)]
+    roads = list(_roads(by_number))
     for road, (start, end) in zip(roads, _nodes(roads), strict=True):
         if end in network.graph.get(start, {}):
             raise ValueError(
                 f"lanelet {road[0].number} begins and ends where another road does, but"
                 " is not beside it; such roads cannot be driven here"
             )
-        for place, lanelet in enumerate(road):
-            left = LineType.STRIPED if place else LineType.CONTINUOUS_LINE
-            right = (
-                LineType.NONE if lanelet is not road[-1] else LineType.CONTINUOUS_LINE
+        for lanelet in road:
+            edges = (
+                LineType.CONTINUOUS_LINE if lanelet is road[0] else LineType.STRIPED,
+                LineType.CONTINUOUS_LINE if lanelet is road[-1] else LineType.NONE,
             )
-            network.add_lane(start, end, _lane(lanelet, known, axes, [left, right]))
+            network.add_lane(start, end, _lane(lanelet, by_number, axes, edges))
     return network
 
 
-def _roads(known: dict[int, Lanelet]) -> Iterator[list[Lanelet]]:
+def _roads(by_number: Mapping[int, Lanelet]) -> Iterator[list[Lanelet]]:
     """Yield the lanelets of each road, from the left."""
-    placed = set[int]()
-    for lanelet in known.values():
-        if lanelet.number in placed:
-            continue
-        road = [lanelet]
-        for side in (0, 1):
-            while (beside := road[-side].beside[side]) in known:
-                if beside in (other.number for other in road):
-                    raise ValueError(
-                        f"lanelet {beside} is beside itself; mend the file or leave"
-                        " it out"
-                    )
-                road.insert(side * len(road), known[beside])
-        placed |= {other.number for other in road}
-        yield road
+    on_roads = set[int]()
+    for lanelet in by_number.values():
+        if lanelet.number not in on_roads:
+            road = _road_of(lanelet, by_number)
+            on_roads |= {other.number for other in road}
+            yield road
 
 
-def _nodes(roads: list[list[Lanelet]]) -> list[list[str]]:
+def _road_of(lanelet: Lanelet, by_number: Mapping[int, Lanelet]) -> list[Lanelet]:
+    """Return a lanelet and all that are beside it, from the left.
+
+    Raises:
+        ValueError: for a lanelet that is beside itself.
+    """
+    road = [lanelet]
+    left, _ = lanelet.beside
+    while left is not None and left in by_number:
+        _check_new(left, road)
+        road.insert(0, by_number[left])
+        left, _ = road[0].beside
+    _, right = lanelet.beside
+    while right is not None and right in by_number:
+        _check_new(right, road)
+        road.append(by_number[right])
+        _, right = road[-1].beside
+    return road
+
+
+def _check_new(number: int, road: Sequence[Lanelet]) -> None:
+    """Raise an error if a lanelet is already among those of a road."""
+    if any(other.number == number for other in road):
+        raise ValueError(
+            f"lanelet {number} is beside itself; mend the file or leave it out"
+        )
+
+
+def _nodes(roads: Sequence[list[Lanelet]]) -> list[list[str]]:
     """Return the names of the nodes at which each road begins and ends; roads whose
     lanelets meet share a node.
     """
-    number = {
-        lanelet.number: road
-        for road, lanelets in enumerate(roads)
-        for lanelet in lanelets
+    road_of = {
+        lanelet.number: number for number, road in enumerate(roads) for lanelet in road
     }
-    nodes = np.arange(2 * len(roads)).reshape(-1, 2)
+    nodes = np.arange(2 * len(roads)).reshape(-1, 2)  # start and end of each road
     for lanelet in chain(*roads):
-        for after in number.keys() & set(lanelet.after):
-            nodes[nodes == nodes[number[after], 0]] = nodes[number[lanelet.number], 1]
+        for after in road_of.keys() & set(lanelet.after):
+            start_after = nodes[road_of[after], 0]
+            nodes[nodes == start_after] = nodes[road_of[lanelet.number], 1]
     return nodes.astype(str).tolist()
 
 
 def _lane(
-    lanelet: Lanelet, known: dict[int, Lanelet], axes: Axes, lines: Sequence[int]
+    lanelet: Lanelet,
+    by_number: Mapping[int, Lanelet],
+    axes: Axes,
+    edges: Sequence[int],
 ) -> SampledLane:
     """Return the lane of a lanelet along its smoothed centre, if possible smoothed with
     the lanes before and after it.
+
+    Args:
+        lanelet: of the lane.
+        by_number: all lanelets.
+        axes: of highway-env.
+        edges: types of the lines at the left and the right edge.
 
     Raises:
         ValueError: if every smooth lane is too far from the centre.
     """
     centre = lanelet.centre
     before = [
-        _last(known[number].centre) for number in lanelet.before[:1] if number in known
+        _last_part(by_number[number].centre)
+        for number in lanelet.before[:1]
+        if number in by_number
     ]
     after = [
-        _last(known[number].centre[::-1])[::-1]
+        _last_part(by_number[number].centre[::-1])[::-1]
         for number in lanelet.after[:1]
-        if number in known
+        if number in by_number
     ]
-    for smooth in chain(fits(np.concatenate([*before, centre, *after])), fits(centre)):
-        along, _ = smooth.locate(centre)
-        places = np.linspace(
-            along[0], along[-1], max(round((along[-1] - along[0]) / STEP), 2) + 1
-        )
-        widths = np.interp(
-            places,
-            np.maximum.accumulate(along),
-            np.linalg.norm(lanelet.left - lanelet.right, axis=-1),
-        )
-        middle = axes.positions(np.stack(smooth.place(places, 0.0)[:2], axis=-1))
-        lane = SampledLane(middle, widths, lines, lanelet.limit or SPEED_LIMIT)
-        along, aside = lane.curve.locate(axes.positions(resample(centre.T, STEP).T))
-        off = max(np.abs(aside).max(), -along.min(), along.max() - lane.length)
-        if off <= WITHIN:
+    with_neighbours = np.concatenate([*before, centre, *after])
+    even_centre = axes.positions(resample(centre.T, SMOOTHING.lane_spacing).T)
+
+    deviation = np.inf
+    for curve in chain(smooth_curves(with_neighbours), smooth_curves(centre)):
+        lane = _lane_along(curve, lanelet, axes, edges)
+        deviation = _deviation(even_centre, lane)
+        if deviation <= SMOOTHING.max_deviation:
             return lane
     raise ValueError(
         f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would"
-        f" be {off:.2f} m off its own"
+        f" be {deviation:.2f} m off its own"
     )
 
 
-def fits(line: Points) -> Iterator[Curve]:
-    """Yield curves along a line, the smoothest first: lines of maps have kinks that
-    would look like steering.
-    """
-    line = line[np.r_[True, np.any(np.diff(line, axis=0) != 0, axis=-1)]]
+def _lane_along(
+    curve: Curve, lanelet: Lanelet, axes: Axes, edges: Sequence[int]
+) -> SampledLane:
+    """Return the lane of a lanelet along a curve of the map."""
+    # Even places on the part of the curve that belongs to the lanelet.
+    along, _ = curve.locate(lanelet.centre)
+    number = max(round((along[-1] - along[0]) / SMOOTHING.lane_spacing), 2) + 1
+    places = np.linspace(along[0], along[-1], number)
+
+    # The lane's middle and width at these places.
+    x, y, _ = curve.place(places, 0.0)
+    middle = axes.positions(np.stack([x, y], axis=-1))
+    recorded_widths = np.linalg.norm(lanelet.left - lanelet.right, axis=-1)
+    widths = np.interp(places, np.maximum.accumulate(along), recorded_widths)
+    limit = lanelet.limit or TrafficRecording.default_speed_limit
+    return SampledLane(middle, widths, edges, limit)
+
+
+def _deviation(line: Points, lane: SampledLane) -> float:
+    """Return how far a line is at most from a lane's middle or beyond its ends [m]."""
+    along, offset = lane.curve.locate(line)
+    return max(np.abs(offset).max(), -along.min(), along.max() - lane.length)
+
+
+def smooth_curves(line: Points) -> Iterator[Curve]:
+    """Yield curves along a line, the smoothest first; see `LaneSmoothing`."""
+    is_new_point = np.any(np.diff(line, axis=0) != 0, axis=-1)
+    line = line[np.r_[True, is_new_point]]
     distance = arc_lengths(line.T)
-    for smoothed in SMOOTHED:
-        spacing = smoothed / 2
-        even = np.linspace(
-            0, distance[-1], max(round(distance[-1] / spacing) + 1, MIN_POINTS)
-        )
+    length = distance[-1]
+    for scale in SMOOTHING.scales:
+        # A smoothing spline through evenly spaced points of the line.
+        spacing = scale / 2
+        number = max(round(length / spacing) + 1, SMOOTHING.min_points)
+        even = np.linspace(0, length, number)
         points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
-        smooth = make_smoothing_spline(even, points, lam=smoothed**4 / spacing)
-        step = min(SPACING, distance[-1] / MIN_POINTS)
-        x, y = resample(smooth(np.arange(0.0, distance[-1] + step, step / 2)).T, step)
+        spline = make_smoothing_spline(even, points, lam=scale**4 / spacing)
+
+        # A curve through evenly spaced points of the spline.
+        step = min(SMOOTHING.curve_spacing, length / SMOOTHING.min_points)
+        fine = spline(np.arange(0.0, length + step, step / 2))
+        x, y = resample(fine.T, step)
         yield Curve.through(x, y, spacing=step)
 
 
-def _last(line: Points) -> Points:
-    """Return the last points of a line, over the length `BRIDGED` and at least two."""
-    left = arc_lengths(line[::-1].T)[::-1]
-    return line[left <= BRIDGED] if (left <= BRIDGED).sum() > 1 else line[-2:]
+def _last_part(line: Points) -> Points:
+    """Return the last points of a line, at least two, over the length with which
+    neighbours are smoothed.
+    """
+    to_end = arc_lengths(line[::-1].T)[::-1]
+    is_near = to_end <= SMOOTHING.neighbour_length
+    return line[is_near] if is_near.sum() > 1 else line[-2:]

@@ -1,14 +1,13 @@
-"""What a recording holds, as in CommonRoad: lanelets, tracks of vehicles and standing
-objects, and planning problems.
+"""Hold what a recording of traffic contains: lanelets, tracks and planning problems.
 
-Everything here is in the axes of the map, with y to the left of x, in metres, radians
-and steps of time; see `ms_highway.recorded.network.Axes` for highway-env's axes.
+These records do not depend on the format of a file; `ms_highway.recorded.commonroad`
+makes them from CommonRoad's. They are in the axes of the map, with y to the left of x,
+in metres, radians and steps of time; `ms_highway.recorded.network.Axes` converts to
+highway-env's axes.
 """
 
-import gzip
-import pathlib
-from functools import cache, lru_cache
-from importlib import resources
+from math import tau
+from typing import ClassVar
 
 import msgspec
 import numpy as np
@@ -16,25 +15,7 @@ from jaxtyping import Float
 from matplotlib.path import Path
 
 Points = Float[np.ndarray, "points 2"]
-
-SPEED_LIMIT = 29.06
-"""Speed limit of lanes without a traffic sign [m/s]: 65 mph, as on US-101, whose
-scenarios have no signs.
-"""
-
-KEPT = 20
-"""Number of recordings that are kept in memory, as long as their files do not change.
-"""
-
-FULL_TURN = 2 * np.pi
-
-CAR_SIZE = 4.508, 1.610
-"""Length and width of the ego in planning problems [m]: CommonRoad's second vehicle, a
-BMW 320i.
-"""
-
-SHIPPED = "us101"
-"""Name of the recording that comes with the package."""
+Point = Float[np.ndarray, "2"]
 
 
 class Lanelet(msgspec.Struct, frozen=True):
@@ -48,7 +29,7 @@ class Lanelet(msgspec.Struct, frozen=True):
         after: ids of the lanelets to which it leads.
         beside: ids of the lanelets to its left and right on which traffic goes the same
             way, None without one.
-        limit: speed limit [m/s], None without one.
+        limit: speed limit that its signs show [m/s], None without one.
     """
 
     number: int
@@ -92,19 +73,17 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         return int(self.samples[-1, 0])
 
     def at(self, steps: np.ndarray) -> np.ndarray:
-        """Return samples at steps of time [steps, 5], interpolated where it was not
-        seen.
+        """Return samples at steps of time [steps, 5], interpolated between recorded
+        ones.
         """
         times, x, y, orientation, speed = self.samples.T
-        parts = x, y, np.unwrap(orientation), speed
-        return np.stack(
-            [steps, *(np.interp(steps, times, part) for part in parts)], axis=-1
-        )
+        columns = (x, y, np.unwrap(orientation), speed)
+        interpolated = [np.interp(steps, times, column) for column in columns]
+        return np.stack([steps, *interpolated], axis=-1)
 
 
 class GoalRegion(msgspec.Struct, frozen=True):
-    """Where, when and how the ego has to be to reach a goal; None stands for no
-    condition.
+    """Where, when and how the ego has to be to reach a goal; None is no condition.
 
     Attributes:
         times: first and last step.
@@ -119,18 +98,41 @@ class GoalRegion(msgspec.Struct, frozen=True):
     speeds: tuple[float, float] | None = None
     headings: tuple[float, float] | None = None
 
+    @property
+    def middle_heading(self) -> float | None:
+        """The middle of the interval of orientations, None without one."""
+        if self.headings is None:
+            return None
+        first, last = self.headings
+        return first + (last - first) % tau / 2
+
     def is_reached(
-        self, step: int, point: Points, orientation: float, speed: float
+        self, step: int, point: Point, orientation: float, speed: float
     ) -> bool:
-        """Return whether an ego with its middle at a point of the map reaches the goal."""
-        low, high = self.headings or (orientation, orientation)
-        slowest, fastest = self.speeds or (speed, speed)
+        """Return whether an ego with its middle at a point reaches the goal."""
         return (
             self.times[0] <= step <= self.times[1]
-            and slowest <= speed <= fastest
-            and (orientation - low) % FULL_TURN <= (high - low) % FULL_TURN
-            and (self.area is None or bool(Path(self.area).contains_points([point])[0]))
+            and self._allows_speed(speed)
+            and self._allows_heading(orientation)
+            and self._contains(point)
         )
+
+    def _allows_speed(self, speed: float) -> bool:
+        if self.speeds is None:
+            return True
+        slowest, fastest = self.speeds
+        return slowest <= speed <= fastest
+
+    def _allows_heading(self, orientation: float) -> bool:
+        if self.headings is None:
+            return True
+        first, last = self.headings
+        return (orientation - first) % tau <= (last - first) % tau
+
+    def _contains(self, point: Point) -> bool:
+        if self.area is None:
+            return True
+        return bool(Path(self.area).contains_points(np.array([point]))[0])
 
 
 class Problem(msgspec.Struct, frozen=True):
@@ -141,7 +143,8 @@ class Problem(msgspec.Struct, frozen=True):
         start: x, y, orientation and speed.
         time: step of the start.
         goals: the alternatives.
-        size: length and width of the ego [m].
+        size: length and width of the ego [m]; by default those of CommonRoad's second
+            vehicle, a BMW 320i.
         track: number of the recorded vehicle that the ego replaces, None if it replaces
             none.
     """
@@ -150,7 +153,7 @@ class Problem(msgspec.Struct, frozen=True):
     start: tuple[float, float, float, float]
     time: int
     goals: tuple[GoalRegion, ...]
-    size: tuple[float, float] = CAR_SIZE
+    size: tuple[float, float] = (4.508, 1.610)
     track: int | None = None
 
     @property
@@ -159,11 +162,9 @@ class Problem(msgspec.Struct, frozen=True):
         return max(goal.times[1] for goal in self.goals)
 
     def is_reached(
-        self, step: int, point: Points, orientation: float, speed: float
+        self, step: int, point: Point, orientation: float, speed: float
     ) -> bool:
-        """Return whether an ego with its middle at a point of the map reaches one of
-        the goals.
-        """
+        """Return whether an ego with its middle at a point reaches one of the goals."""
         return any(
             goal.is_reached(step, point, orientation, speed) for goal in self.goals
         )
@@ -182,6 +183,13 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
         problems: the planning problems.
     """
 
+    default_speed_limit: ClassVar[float] = 29.06
+    """Speed limit of lanes without a traffic sign [m/s]: 65 mph, as on US-101, whose
+    scenarios have no signs.
+    """
+    cache_size: ClassVar[int] = 20
+    """Number of recordings that stay in memory, and of roads that are made of them."""
+
     name: str
     group: str
     source: str
@@ -194,43 +202,7 @@ class TrafficRecording(msgspec.Struct, frozen=True, eq=False):
 
     def track(self, number: int) -> RecordedTrack | None:
         """Return the track with a number, None without one."""
-        return next((track for track in self.tracks if track.number == number), None)
-
-
-def open_recording(recording: str) -> TrafficRecording:
-    """Return the recording of a CommonRoad file, or by its name the one that comes with
-    the package.
-
-    Raises:
-        ValueError: naming the file and the problem.
-    """
-    if recording == SHIPPED:
-        return _shipped_recording()
-    path = pathlib.Path(recording)
-    if not path.is_file():
-        raise ValueError(
-            f"config['recording'] is {recording!r}, which is no file; give the file of"
-            f" a CommonRoad scenario, *.xml or *.xml.gz, or {SHIPPED!r}, which comes"
-            " with the package"
-        )
-    return _read(path.resolve(), path.stat().st_mtime_ns)
-
-
-@cache
-def _shipped_recording() -> TrafficRecording:
-    packed = (
-        resources.files("ms_highway") / "data" / f"{SHIPPED}_traffic.json.gz"
-    ).read_bytes()
-    unpacked = gzip.decompress(packed)
-    return msgspec.json.decode(
-        unpacked,
-        type=TrafficRecording,
-        dec_hook=lambda _, numbers: np.array(numbers, float),
-    )
-
-
-@lru_cache(KEPT)
-def _read(path: pathlib.Path, _: int) -> TrafficRecording:
-    from ms_highway.recorded.commonroad import read_scenario
-
-    return read_scenario(path)
+        for track in self.tracks:
+            if track.number == number:
+                return track
+        return None

@@ -1,19 +1,27 @@
-"""Convert states of vehicles on a recorded road to states on a straight road of
-parallel lanes, lane by lane.
-"""
+"""Straighten a recorded road: convert states on it to states on parallel lanes."""
 
+from collections import deque
 from functools import lru_cache
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from ms_highway.geometry.road_map import Lane, road_map
 from ms_highway.recorded.network import Axes, network_of
-from ms_highway.recorded.scenario import KEPT, Points, RecordedTrack, TrafficRecording
+from ms_highway.recorded.scenario import Points, RecordedTrack, TrafficRecording
 from ms_highway.runtime.arrays import State
 
-ONWARD = 50.0  # m, by which the surface goes on beyond the ends of the road
-# m, by which lanes are widened to each side, because their edges may leave gaps
-SEAM = 0.1
+
+class LanePlace(NamedTuple):
+    """Where a lane is on the straight road.
+
+    Attributes:
+        row: number of the lane, counted to the right from any lane.
+        start: x where the lane begins [m].
+    """
+
+    row: int
+    start: float
 
 
 class StraightRoad:
@@ -35,6 +43,11 @@ class StraightRoad:
         ValueError: for lanelets that cannot be driven, with the reason.
     """
 
+    continuation: ClassVar[float] = 50.0
+    """Length by which the surface goes on beyond the ends of the road [m]."""
+    edge_tolerance: ClassVar[float] = 0.1
+    """Width by which lanes are widened to each side [m]: their edges may leave gaps."""
+
     def __init__(self, recording: TrafficRecording) -> None:
         if not recording.lanelets:
             raise ValueError(
@@ -43,74 +56,51 @@ class StraightRoad:
         self.axes = Axes.of(recording.lanelets)
         self.network = network_of(recording.lanelets, self.axes)
         self._lanes = [*road_map(self.network).lanes.values()]
-        found: dict[
-            Lane, tuple[int, float]
-        ] = {}  # number of each lane from the left, and x where it begins
-        for first in self._lanes:
-            queue = [
-                (
-                    first,
-                    2 + max((number for number, _ in found.values()), default=-2),
-                    0.0,
-                )
-            ]  # roads stay apart
-            for lane, number, start in queue:
-                if lane not in found:
-                    found[lane] = number, start
-                    queue += [
-                        (beside, number + beside.number - lane.number, start)
-                        for beside in lane.siblings
-                    ]
-                    queue += [
-                        (after, number, start + _length(lane))
-                        for after in lane.following()
-                    ]
-                    before = [
-                        other for other in self._lanes if lane in other.following()
-                    ]
-                    queue += [
-                        (other, number, start - _length(other)) for other in before
-                    ]
-        numbers, self._starts = map(
-            np.array, zip(*(found[lane] for lane in self._lanes), strict=True)
-        )
-        numbers -= numbers.min()
+
+        # The row of each lane, from 0 for the leftmost one.
+        places = _place_lanes(self._lanes)
+        self._starts = np.array([places[lane].start for lane in self._lanes])
+        rows = np.array([places[lane].row for lane in self._lanes])
+        rows -= rows.min()
+
+        # The median width of each row; rows between unconnected roads have no lanes.
         widths = np.array(
             [lane.shape.width_at(lane.length / 2) for lane in self._lanes]
         )
         self.lane_width = float(np.median(widths))
-        medians = np.full(numbers.max() + 1, self.lane_width)
-        for number in numbers:
-            medians[number] = np.median(widths[numbers == number])
-        y = np.cumsum(medians) - (medians + medians[0]) / 2
+        row_widths = np.full(rows.max() + 1, self.lane_width)
+        for row in rows:
+            row_widths[row] = np.median(widths[rows == row])
+
+        y = np.cumsum(row_widths) - (row_widths + row_widths[0]) / 2
         self.centres = {
-            lane.index: float(y[number])
-            for lane, number in zip(self._lanes, numbers, strict=True)
+            lane.index: float(y[row])
+            for lane, row in zip(self._lanes, rows, strict=True)
         }
 
     def __deepcopy__(self, memo: object) -> "StraightRoad":
         return self  # it never changes: copies of environments share it
 
     def states(self, states: State) -> State:
-        """Convert states in highway-env's axes, each by the lane that is nearest in
-        position and heading.
-        """
+        """Convert states in highway-env's axes, each by the nearest lane."""
         x, y, heading, speeds = states.T
-        every = np.array(
+        poses = np.array(
             [lane.shape.curve.project(x, y, heading) for lane in self._lanes]
-        )  # [lanes, 3, n]
-        along, aside, heading = every.swapaxes(0, 1)
+        )  # [lanes, (along, offset, heading), states]
+
+        # The nearest lane, in position and heading as highway-env measures it.
+        along, offset, heading = poses.swapaxes(0, 1)  # [lanes, states] each
         lengths = np.array([[lane.length] for lane in self._lanes])
-        beyond = np.maximum(along - lengths, 0.0) + np.maximum(-along, 0.0)
-        nearest = (np.abs(aside) + beyond + np.abs(heading)).argmin(
-            axis=0
-        )  # as highway-env measures distances
-        along, aside, heading = every[nearest, :, np.arange(len(states))].T
+        beyond_ends = np.maximum(along - lengths, 0.0) + np.maximum(-along, 0.0)
+        distances = np.abs(offset) + beyond_ends + np.abs(heading)
+        nearest = distances.argmin(axis=0)
         lanes = [self._lanes[number] for number in nearest]
-        x = self._starts[nearest] + along * [
-            _length(lane) / lane.length for lane in lanes
-        ]
-        y = aside + [self.centres[lane.index] for lane in lanes]
+
+        # The place on the straight road: along a lane, x grows by its road's length.
+        along, offset, heading = poses[nearest, :, np.arange(len(states))].T
+        scales = [_mean_length(lane) / lane.length for lane in lanes]
+        x = self._starts[nearest] + along * scales
+        y = offset + [self.centres[lane.index] for lane in lanes]
         return np.stack([x, y, heading, speeds], axis=-1)
 
     @property
@@ -118,18 +108,15 @@ class StraightRoad:
         """For every y of lanes, from the left: the middles of the lanes there, one
         after the other.
         """
-        lanes = [
-            self._lanes[place] for place in np.argsort(self._starts, kind="stable")
-        ]
-        rows = sorted(set(self.centres.values()))
-        return [
-            np.concatenate(
-                [lane.shape.centres for lane in lanes if self.centres[lane.index] == y]
-            )
-            for y in rows
-        ]
+        order = np.argsort(self._starts, kind="stable")
+        lanes = [self._lanes[number] for number in order]
+        lines = []
+        for y in sorted(set(self.centres.values())):
+            in_row = [lane for lane in lanes if self.centres[lane.index] == y]
+            lines.append(np.concatenate([lane.shape.centres for lane in in_row]))
+        return lines
 
-    def way(self, track: RecordedTrack) -> State:
+    def states_of_track(self, track: RecordedTrack) -> State:
         """Return the recorded states of a track on the straight road."""
         return self.states(self.axes.states(track.samples))
 
@@ -137,24 +124,63 @@ class StraightRoad:
         """Return whether all points are on lanes, or on their straight continuation
         beyond the ends of the road.
         """
-        inside = np.zeros(len(points), bool)
+        on_road = np.zeros(len(points), bool)
         for lane in self._lanes:
-            along, aside = lane.shape.curve.locate(points)
-            first = 0.0 if lane.preceding else -ONWARD
-            last = lane.length + (0.0 if lane.following() else ONWARD)
+            along, offset = lane.shape.curve.locate(points)
+            first = 0.0 if lane.preceding else -self.continuation
+            last = lane.length + (0.0 if lane.following() else self.continuation)
             widths = lane.shape.curve.interpolate(lane.shape.widths, along)
-            inside |= (
-                (first <= along)
-                & (along <= last)
-                & (np.abs(aside) <= widths / 2 + SEAM)
+            half_widths = widths / 2 + self.edge_tolerance
+            on_road |= (
+                (first <= along) & (along <= last) & (np.abs(offset) <= half_widths)
             )
-        return bool(inside.all())
+        return bool(on_road.all())
 
 
-straight_road = lru_cache(KEPT)(StraightRoad)
-"""Return the road of a recording; the last `KEPT` roads are kept."""
+@lru_cache(TrafficRecording.cache_size)
+def straight_road(recording: TrafficRecording) -> StraightRoad:
+    """Return the road of a recording; the roads of the last recordings are cached."""
+    return StraightRoad(recording)
 
 
-def _length(lane: Lane) -> float:
+def _place_lanes(lanes: list[Lane]) -> dict[Lane, LanePlace]:
+    """Return where each lane is: in the row of the lanes before and after it, and in
+    the next row to those beside it.
+
+    Roads that are not connected begin at x = 0 each, with a free row between them.
+    """
+    places: dict[Lane, LanePlace] = {}
+    for first in lanes:
+        if first not in places:
+            last_row = max((place.row for place in places.values()), default=-2)
+            _place_connected(first, LanePlace(last_row + 2, 0.0), lanes, places)
+    return places
+
+
+def _place_connected(
+    first: Lane, place: LanePlace, lanes: list[Lane], places: dict[Lane, LanePlace]
+) -> None:
+    """Add the places of a lane and of all lanes that are connected with it, the nearest
+    first.
+    """
+    queue = deque([(first, place)])
+    while queue:
+        lane, place = queue.popleft()
+        if lane in places:
+            continue
+        places[lane] = place
+        for beside in lane.siblings:
+            row = place.row + beside.number - lane.number
+            queue.append((beside, LanePlace(row, place.start)))
+        for after in lane.following():
+            end = place.start + _mean_length(lane)
+            queue.append((after, LanePlace(place.row, end)))
+        for before in lanes:
+            if lane in before.following():
+                start = place.start - _mean_length(before)
+                queue.append((before, LanePlace(place.row, start)))
+
+
+def _mean_length(lane: Lane) -> float:
     """Return the mean length of the lanes of a lane's road [m]."""
     return float(np.mean([beside.length for beside in lane.siblings]))

@@ -3,7 +3,7 @@ learned drivers, or by IDM.
 """
 
 from copy import copy
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Road
@@ -12,24 +12,10 @@ from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import RoadObject
 
 from ms_highway.geometry.bodies import nearest_ahead, separation
-from ms_highway.recorded.scenario import SPEED_LIMIT, RecordedTrack, TrafficRecording
+from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
-from ms_highway.runtime.arrays import State
+from ms_highway.runtime.arrays import Car, State
 from ms_highway.vehicle import FollowingVehicle, RoutedVehicle, states_of
-
-EXIT_DISTANCE = 30.0  # m past the end of the road, where vehicles leave it
-# m that must be free ahead of and behind a vehicle that enters or changes lanes
-ENTRY_GAP = 2.0
-# m beyond the edge of a lane, within which the middle of a vehicle still counts as in
-# the lane
-LANE_TOLERANCE = 0.3
-# s, for which a gap in the lane beside must stay long enough at the present speeds
-GAP_TIME = 1.0
-# s, of a lane change: it begins this long before the recorded vehicle was in the other
-# lane
-LOOK_AHEAD = 2.0
-# s, in which a car without a leader reaches the speed that was recorded at its place
-SPEED_TIME = 1.0
 
 
 class ReplayedVehicle(RoutedVehicle):
@@ -46,31 +32,45 @@ class LearnedVehicle(FollowingVehicle):
     out of sight of the recording.
 
     Attributes:
-        way: states of the recorded vehicle on the straight road [times, 4].
+        recorded_states: of the recorded vehicle on the straight road [times, 4].
+    """
+
+    lane_change_time: ClassVar[float] = 2.0
+    """Duration of a lane change [s]: it begins this long before the recorded vehicle
+    was in the other lane.
+    """
+    gap_time: ClassVar[float] = 1.0
+    """Time for which a gap in the lane beside must stay long enough at the present
+    speeds [s].
+    """
+    speed_time: ClassVar[float] = 1.0
+    """Time in which a car without a leader reaches the speed that was recorded at its
+    place [s].
     """
 
     road: "RecordedRoad"
-    way: State
+    recorded_states: State
 
     def change_lane_policy(self) -> None:
         """Change towards the lane of the recorded vehicle, unless a change is going on
         or there is no room for one.
         """
-        straight, (start, end, lane) = self.road.straight, self.lane_index
-        x, *_, speed = self.road.states[self]
-        later = min(
-            int(np.searchsorted(self.way[:, 0], x + LOOK_AHEAD * speed)),
-            len(self.way) - 1,
-        )
-        aside = self.way[later, 1] - straight.centres[self.lane_index]
-        beside = start, end, lane + int(np.sign(round(aside / straight.lane_width)))
-        may_change = (
-            self.lane_index == self.target_lane_index != beside
-            and beside in straight.centres
-        )
-        if may_change and all(
-            map(self._leaves_room, self.road.neighbour_vehicles(self, beside))
-        ):
+        # The lane beside, on the side where the recorded vehicle soon was.
+        centres = self.road.straight.centres
+        x, _, _, speed = self.road.states[self]
+        x_soon = x + self.lane_change_time * speed
+        places = self.recorded_states[:, 0]
+        soon = min(int(np.searchsorted(places, x_soon)), len(places) - 1)
+        offset = self.recorded_states[soon, 1] - centres[self.lane_index]
+        start, end, lane = self.lane_index
+        side = int(np.sign(round(offset / self.road.straight.lane_width)))
+        beside = (start, end, lane + side)
+
+        is_in_target_lane = self.lane_index == self.target_lane_index
+        if not is_in_target_lane or beside == self.lane_index or beside not in centres:
+            return
+        neighbours = self.road.neighbour_vehicles(self, beside)
+        if all(self._leaves_room(other) for other in neighbours):
             self.target_lane_index = beside
 
     def _leaves_room(self, other: Vehicle | None) -> bool:
@@ -79,24 +79,35 @@ class LearnedVehicle(FollowingVehicle):
         """
         if other is None:
             return True
-        distance, _, _, relative_speed = (
-            self.road.states[other] - self.road.states[self]
-        )
+        own_state = self.road.states[self]
+        distance, _, _, relative_speed = self.road.states[other] - own_state
         gap = abs(distance) - (other.LENGTH + self.LENGTH) / 2
-        return bool(
-            gap > ENTRY_GAP + GAP_TIME * max(-np.sign(distance) * relative_speed, 0.0)
-        )
+        closing_speed = max(-np.sign(distance) * relative_speed, 0.0)
+        return bool(gap > self.road.entry_gap + self.gap_time * closing_speed)
 
     def acceleration(
-        self, ego_vehicle: Any, front_vehicle: Any = None, rear_vehicle: Any = None
+        self,
+        ego_vehicle: Vehicle,
+        front_vehicle: RoadObject | None = None,
+        rear_vehicle: object = None,
     ) -> float:
         """Return the acceleration of a vehicle behind another one [m/s^2], see
         `FollowingVehicle`.
         """
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
-        x, *_, speed = self.road.states[self]
-        return float(np.interp(x, self.way[:, 0], self.way[:, 3]) - speed) / SPEED_TIME
+        x, _, _, speed = self.road.states[self]
+        places = self.recorded_states[:, 0]
+        recorded_speed = np.interp(x, places, self.recorded_states[:, 3])
+        return float(recorded_speed - speed) / self.speed_time
+
+
+VEHICLE_TYPES = {
+    "learned": LearnedVehicle,
+    "replay": ReplayedVehicle,
+    "idm": IDMVehicle,
+}
+"""Types of the vehicles that drive in lanes, by the kind of traffic."""
 
 
 class RecordedRoad(Road):
@@ -110,8 +121,8 @@ class RecordedRoad(Road):
         recording: of the traffic.
         begin: step of the recording at which the road begins.
         left_out: number of the track that the ego replaces; None for no track.
-        traffic: what moves the vehicles that drive in lanes: ``"replay"``,
-            ``"learned"`` or ``"idm"``; all else is replayed.
+        traffic: what moves the vehicles that drive in lanes, see `VEHICLE_TYPES`; all
+            else is replayed.
         np_random: for drivers that draw random numbers.
 
     Attributes:
@@ -120,7 +131,18 @@ class RecordedRoad(Road):
         coming: tracks of the vehicles that have not entered yet.
     """
 
-    vehicles: list[Any]
+    entry_gap: ClassVar[float] = 2.0
+    """Length that must be free ahead of and behind a vehicle that enters or changes
+    lanes [m].
+    """
+    exit_distance: ClassVar[float] = 30.0
+    """Distance past the end of the road at which vehicles leave it [m]."""
+    lane_tolerance: ClassVar[float] = 0.3
+    """Distance beyond the edge of a lane within which the middle of a vehicle still
+    counts as in the lane [m].
+    """
+
+    vehicles: list[Vehicle]
 
     def __init__(
         self,
@@ -128,14 +150,15 @@ class RecordedRoad(Road):
         begin: int,
         left_out: int | None,
         traffic: str,
-        np_random: Any,
+        np_random: np.random.Generator,
     ) -> None:
         self.straight = straight_road(recording)
         super().__init__(self.straight.network, np_random=np_random)
         self.begin = begin
         self.now = begin
-        self._driver = VEHICLES[traffic]
-        self._computed: tuple[tuple, dict[Vehicle, State]] = ((), {})
+        self._driving_type = VEHICLE_TYPES[traffic]
+        self._states: dict[Vehicle, Car] = {}
+        self._states_key: tuple[object, ...] = ()
         self.coming = [
             track
             for track in recording.tracks
@@ -151,51 +174,59 @@ class RecordedRoad(Road):
         return [track for track in self.coming if track.first <= self.now]
 
     @property
-    def others(self) -> list[Any]:
+    def others(self) -> list[Vehicle]:
         """The vehicles of the recording, each with its ``track``: all but the ego."""
         return [vehicle for vehicle in self.vehicles if hasattr(vehicle, "track")]
 
     @property
-    def states(self) -> dict[Vehicle, State]:
+    def states(self) -> dict[Vehicle, Car]:
         """States of all vehicles on the straight road, computed once in a step."""
-        when = self.now, *self.vehicles
-        if self._computed[0] != when:
+        key = (self.now, *self.vehicles)
+        if self._states_key != key:
             states = self.straight.states(states_of(self.vehicles))
-            self._computed = when, dict(zip(self.vehicles, states, strict=True))
-        return self._computed[1]
+            self._states = dict(zip(self.vehicles, states, strict=True))
+            self._states_key = key
+        return self._states
 
     def neighbour_vehicles(
         self, vehicle: Vehicle, lane_index: LaneIndex | None = None
-    ) -> tuple[Any, Any]:
+    ) -> tuple[Vehicle | None, Vehicle | None]:
         """Return the nearest vehicles ahead and behind, None without one: in a lane and
         the lanes before and after it.
 
         By default, that is the lane of the vehicle.
         """
-        vehicles, (x, y, *_) = [*self.states], np.array([*self.states.values()]).T
+        vehicles = list(self.states)
+        x, y, _, _ = np.array(list(self.states.values())).T
         centre = self.straight.centres[lane_index or vehicle.lane_index]
-        inside = np.abs(y - centre) < self.straight.lane_width / 2 + LANE_TOLERANCE
-        found = [
-            nearest_ahead(sign * (x - self.states[vehicle][0]), inside)
-            for sign in (1, -1)
-        ]
-        ahead, behind = (vehicles[place] if there else None for place, there in found)
-        return ahead, behind
+        half_width = self.straight.lane_width / 2 + self.lane_tolerance
+        in_lane = np.abs(y - centre) < half_width
+        distances = x - self.states[vehicle][0]
+        ahead, is_ahead = nearest_ahead(distances, in_lane)
+        behind, is_behind = nearest_ahead(-distances, in_lane)
+        return (
+            vehicles[ahead] if is_ahead else None,
+            vehicles[behind] if is_behind else None,
+        )
 
     def step(self, dt: float) -> None:
         """Move all vehicles for ``dt`` seconds, and let vehicles enter and leave."""
         for vehicle in self.vehicles:
             vehicle.step(dt)
         self.now += 1
-        for vehicle in filter(self._has_left, self.others):
-            self.vehicles.remove(vehicle)
+        for vehicle in self.others:
+            if self._has_left(vehicle):
+                self.vehicles.remove(vehicle)
         self._let_enter()
-        for ego in [
-            vehicle for vehicle in self.vehicles if not hasattr(vehicle, "track")
-        ]:
+
+        # Collisions of the ego: the only vehicle without a track.
+        for ego in self.vehicles:
+            if hasattr(ego, "track"):
+                continue
             for other in self.others:
                 if overlap(ego, other):
-                    ego.crashed = other.crashed = True
+                    ego.crashed = True
+                    other.crashed = True
 
     def recorded(self, track: RecordedTrack) -> State:
         """Return the states of a track in each step from the beginning of the road, or
@@ -211,37 +242,48 @@ class RecordedRoad(Road):
         the beginning.
         """
         for track in self.waiting:
-            kind: Any = self._driver if track.drives else ReplayedVehicle
-            replayed = kind is ReplayedVehicle
-            states = self.recorded(track)
-            *position, heading, speed = states[0].tolist()
-            vehicle = sized(
-                (
-                    kind(self, states)
-                    if replayed
-                    else kind(self, position, heading, speed)
-                ),
-                track.size,
-            )
-            vehicle.track = track
-            vehicle.check_collisions = False
-            vehicle.follows_lanes = track.drives
-            vehicle.way = self.straight.way(track)
-            vehicle.way[:, 0] = np.maximum.accumulate(vehicle.way[:, 0])
-            vehicle.target_speed = (
-                SPEED_LIMIT
-                if kind is LearnedVehicle
-                else max(float(track.samples[:, 4].max()), 1.0)
-            )
-            with_room = sized(
-                copy(vehicle), (vehicle.LENGTH + 2 * ENTRY_GAP, vehicle.WIDTH)
-            )
-            free = not any(overlap(with_room, other) for other in self.vehicles)
-            if free or self.now == self.begin or replayed:
+            vehicle = self._vehicle_of(track)
+            if (
+                self.now == self.begin
+                or isinstance(vehicle, ReplayedVehicle)
+                or self._has_room(vehicle)
+            ):
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
 
-    def _has_left(self, vehicle: Any) -> bool:
+    def _vehicle_of(self, track: RecordedTrack) -> Vehicle:
+        """Return a vehicle in the first state of a track that it has on this road."""
+        states = self.recorded(track)
+        # Any: the types take different arguments, and highway-env's has no types.
+        kind: Any = self._driving_type if track.drives else ReplayedVehicle
+        if kind is ReplayedVehicle:
+            vehicle = ReplayedVehicle(self, states)
+        else:
+            x, y, heading, speed = states[0].tolist()
+            vehicle = kind(self, [x, y], heading, speed)
+        set_size(vehicle, track.size)
+        vehicle.track = track
+        vehicle.check_collisions = False
+        vehicle.follows_lanes = track.drives
+
+        # Places along the road must not decrease: they are searched and interpolated.
+        vehicle.recorded_states = self.straight.states_of_track(track)
+        places = vehicle.recorded_states[:, 0]
+        vehicle.recorded_states[:, 0] = np.maximum.accumulate(places)
+
+        if kind is LearnedVehicle:
+            vehicle.target_speed = TrafficRecording.default_speed_limit
+        else:
+            vehicle.target_speed = max(float(track.samples[:, 4].max()), 1.0)
+        return vehicle
+
+    def _has_room(self, vehicle: Vehicle) -> bool:
+        """Return whether a vehicle that enters keeps the entry gap to all others."""
+        with_gaps = copy(vehicle)
+        set_size(with_gaps, (vehicle.LENGTH + 2 * self.entry_gap, vehicle.WIDTH))
+        return not any(overlap(with_gaps, other) for other in self.vehicles)
+
+    def _has_left(self, vehicle: Vehicle) -> bool:
         """Return whether a vehicle is past the end of its track if it is replayed,
         otherwise of the road.
         """
@@ -249,26 +291,23 @@ class RecordedRoad(Road):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
         return (
-            place > vehicle.lane.length + EXIT_DISTANCE
+            place > vehicle.lane.length + self.exit_distance
             and not self.network.graph.get(vehicle.lane_index[1])
         )
 
 
-VEHICLES = {"learned": LearnedVehicle, "replay": ReplayedVehicle, "idm": IDMVehicle}
-"""Types of the vehicles that drive in lanes, by the kind of traffic."""
-
-
-def sized(item: RoadObject, size: tuple[float, float]) -> RoadObject:
-    """Give an object on a road a length and a width [m], and return it."""
-    item.LENGTH, item.WIDTH = map(float, size)
-    item.diagonal = float(np.hypot(*size))
-    return item
+def set_size(item: RoadObject, size: tuple[float, float]) -> None:
+    """Give an object on a road a length and a width [m]."""
+    length, width = size
+    item.LENGTH = float(length)
+    item.WIDTH = float(width)
+    item.diagonal = float(np.hypot(length, width))
 
 
 def overlap(one: RoadObject, other: RoadObject) -> bool:
     """Return whether the bodies of two objects on a road overlap."""
-    own, theirs = ((*item.position, item.heading) for item in (one, other))
-    return bool(
-        separation(own, (one.LENGTH, one.WIDTH), theirs, (other.LENGTH, other.WIDTH))
-        < 0
-    )
+    own_pose = (*one.position, one.heading)
+    other_pose = (*other.position, other.heading)
+    own_size = (one.LENGTH, one.WIDTH)
+    other_size = (other.LENGTH, other.WIDTH)
+    return bool(separation(own_pose, own_size, other_pose, other_size) < 0)

@@ -10,7 +10,7 @@ import pytest
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.geometry.road_map import road_map
-from ms_highway.recorded.network import fits
+from ms_highway.recorded.network import smooth_curves
 from tests.roads import arc
 
 
@@ -18,7 +18,9 @@ def line_of_a_map():
     """A winding line that is not smooth."""
     along = np.arange(0.0, 200.0, 4.0)
     jagged = 0.05 * np.random.default_rng(0).normal(size=along.size)
-    return next(fits(np.stack([along, 10 * np.sin(along / 40) + jagged], axis=-1)))
+    return next(
+        smooth_curves(np.stack([along, 10 * np.sin(along / 40) + jagged], axis=-1))
+    )
 
 
 def through_a_roundabout():

@@ -27,8 +27,8 @@ from ms_highway import drive
 from ms_highway.benchmarks.road.peers import starts_of
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.commonroad import read_xml
-from ms_highway.recorded.environment import problem_of
-from ms_highway.recorded.scenario import SHIPPED, open_recording
+from ms_highway.recorded.opening import SHIPPED_RECORDING, open_recording
+from ms_highway.recorded.planning_problem import problem_of
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import overlap
 
@@ -111,7 +111,7 @@ def test_gymnasiums_checker_passes_without_a_warning(tmp_path):
 
 
 def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
-    env, told = begun(SHIPPED)
+    env, told = begun(SHIPPED_RECORDING)
     tracks = {track.number: track for track in env.scenario.tracks}
     for step in range(env.task.last + 1):
         rows = {
@@ -137,7 +137,7 @@ def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
 def test_the_vehicle_behind_a_standing_ego_hits_it_in_replay_and_brakes_in_learned_traffic(
     traffic,
 ):
-    env, _ = begun(SHIPPED, traffic)
+    env, _ = begun(SHIPPED_RECORDING, traffic)
     *_, (*_, info) = steps(env, braking)
     told = info["recorded"]
     assert told["collision"] == (traffic == "replay")
@@ -358,7 +358,7 @@ def test_lanes_of_two_directions_are_two_roads(tmp_path):
 
 
 def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position():
-    env, told = begun(SHIPPED, ego=298)
+    env, told = begun(SHIPPED_RECORDING, ego=298)
     track = env.scenario.track(298)
     first, last = track.samples[[0, -1]]
     np.testing.assert_allclose(

@@ -19,13 +19,10 @@ from highway_env.vehicle.controller import MDPVehicle
 
 from ms_highway.envs.agents import check_spaces, policy_of
 from ms_highway.recorded.commonroad import scenario_files
-from ms_highway.recorded.environment import RecordedEnv, problem_of
-from ms_highway.recorded.scenario import (
-    SHIPPED,
-    RecordedTrack,
-    TrafficRecording,
-    open_recording,
-)
+from ms_highway.recorded.environment import RecordedEnv
+from ms_highway.recorded.opening import SHIPPED_RECORDING, open_recording
+from ms_highway.recorded.planning_problem import problem_of
+from ms_highway.recorded.scenario import RecordedTrack, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.recorded.traffic import ReplayedVehicle
 from ms_highway.road.driven import placeholder_action
@@ -254,7 +251,9 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
             cannot be started.
     """
     starts: dict[tuple, RecordedStart] = {}
-    for recording in [SHIPPED] if data is None else map(str, scenario_files(data)):
+    for recording in (
+        [SHIPPED_RECORDING] if data is None else map(str, scenario_files(data))
+    ):
         scenario = open_recording(recording)
         if egos == "changing":
             for track in filter(partial(_changes_lane, scenario), scenario.tracks):
@@ -308,7 +307,7 @@ def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
     if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
         return False
     road = straight_road(scenario)
-    begin, end = road.way(track)[[0, -1], 1] / road.lane_width
+    begin, end = road.states_of_track(track)[[0, -1], 1] / road.lane_width
     return (
         round(begin) != round(end)
         and abs(end - round(end)) < CENTRED
