@@ -276,7 +276,9 @@ class ControllerSettings:
     @property
     def budget(self) -> float | None:
         """Time of a cycle [s], None without one."""
-        return self.chooser.seconds if isinstance(self.chooser, Knapsack) else None
+        if not isinstance(self.chooser, Knapsack):
+            return None
+        return self.chooser.seconds
 
     def without_price(self) -> Self:
         """Return the settings at a lambda of 0, which are the same for controllers that

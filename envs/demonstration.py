@@ -166,7 +166,7 @@ class DemonstrationEnv(GameEnv):
 
     def _reset(self) -> None:
         """Build the road and place the cars."""
-        start = self._draw_start()
+        start = np.asarray(self._draw_start())
 
         # Routes go on for the horizon of a plan after the last step.
         steps = self.episode_steps + self.game.planner.horizon
@@ -217,7 +217,7 @@ class DemonstrationEnv(GameEnv):
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
-    def action_for(self, control: Control) -> Control:
+    def action_for(self, control: Control) -> np.ndarray:
         """Return the action that executes a control ``(omega, acceleration)``, clipped
         to what actions reach.
         """
@@ -236,7 +236,7 @@ def draw_routes(
     cars: int,
     times: Times,
     lanes: Vector,
-    driver: Car,
+    driver: np.ndarray,
 ) -> np.ndarray:
     """Draw states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear
     of each other.

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
+from jaxtyping import Int
 
 from ms_highway.choice.rule import compilable, in_ladder, in_order
 from ms_highway.envs import ENVIRONMENTS, scenario_name
@@ -37,7 +38,7 @@ from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
-from ms_highway.runtime.arrays import Index, State
+from ms_highway.runtime.arrays import Array, State
 from ms_highway.runtime.compilation import usual_chunk
 from ms_highway.runtime.jax_settings import single_precision
 from ms_highway.runtime.process import refuse_after_fork
@@ -139,7 +140,7 @@ def draw_start(
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(
         start.astype(np.float32),
-        price,
+        np.asarray(price),
         rungs,
         loop.game.robot.weights,
         weights,
@@ -164,7 +165,7 @@ class EnvState(NamedTuple):
 
     now: Now
     episodes: Episodes
-    step: Index
+    step: Int[Array, "episodes"]
 
 
 class FunctionalEnv:

@@ -18,7 +18,7 @@ from ms_highway.choice.rule import (
 )
 from ms_highway.choice.situation import nearness
 from ms_highway.planning.costs import Costs
-from ms_highway.runtime.arrays import Array, Gains, Index, Rungs, Scalar
+from ms_highway.runtime.arrays import Array, Gains, Rungs, Scalar
 from ms_highway.runtime.limits import Positive
 
 PLANNABLE_SHARE = 0.8
@@ -56,7 +56,7 @@ class Knapsack(Chooser[Evidence]):
     deciding: Scalar = field(default=0.0, metadata=FROM_START)
 
     @property
-    def seconds(self) -> Scalar:
+    def seconds(self) -> float:
         """Duration of a cycle [s]."""
         return self.milliseconds * 1e-3
 
@@ -143,12 +143,12 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
         return options.max(axis=0), options.argmax(axis=0)
 
     nobody = jnp.where(counts[0] == humans, 0.0, -jnp.inf)
-    table, choices = jax.lax.scan(add, nobody, values)
+    table, choices = jax.lax.scan(add, nobody, jnp.asarray(values))
     value = jnp.where((cost <= capacity) & (cost < jnp.inf), table, -jnp.inf)
     place = jnp.argmin(jnp.where(value == value.max(), cost, jnp.inf))
 
     def take(
-        place: Index, chosen: Int[jax.Array, "*counts"]
+        place: jax.Array, chosen: Int[jax.Array, "*counts"]
     ) -> tuple[jax.Array, jax.Array]:
         rung = chosen.ravel()[place]
         return place - steps[rung], rung

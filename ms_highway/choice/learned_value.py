@@ -88,8 +88,8 @@ class LearnedValue(Estimator[GameEvidence]):
         default=TOGETHER, metadata={"static": True} | FROM_START
     )
     network: Network = field(default=(), metadata=FROM_START)
-    centre: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
-    spread: Float[Array, "inputs"] = field(default=None, metadata=FROM_START)
+    centre: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
+    spread: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
 
     def __post_init__(self) -> None:
         if self.values and self.values != SHIPPED_VALUES:
@@ -133,6 +133,8 @@ class LearnedValue(Estimator[GameEvidence]):
         game = evidence.game
         after = evidence.outcome.after
         nearest = jnp.argsort(nearness(game, after))[: self.nearest]
+        assert self.centre is not None
+        assert self.spread is not None
         inputs = (describe(game, after, nearest) - self.centre) / self.spread
         means, _ = jax.vmap(partial(outputs, self.network))(
             inputs
@@ -297,7 +299,7 @@ class Values:
         return LearnedValue(network=network, centre=self.centre, spread=self.spread)
 
     def rule(
-        self, models: tuple[HumanModel, ...], costs: Costs, price: Scalar
+        self, models: tuple[HumanModel, ...], costs: Costs, price: float
     ) -> Rule[GameEvidence]:
         """Return the rule that chooses by these values at a price, see `estimator`."""
         return Rule(models, costs, PriceTogether(price), self.estimator(models))

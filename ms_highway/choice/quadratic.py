@@ -55,7 +55,7 @@ from ms_highway.runtime.limits import Positive
 
 HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
 
-Bracket: TypeAlias = tuple[Scalar, Scalar, Index]
+Bracket: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 """Bounds of the shift, and the number of halvings."""
 
 
@@ -78,7 +78,7 @@ def trust_region_step(
     gaps = values[-1] - values
     least = jnp.maximum(0.0, -values[-1])
 
-    def at(shift: Scalar) -> Vector:
+    def at(shift: Scalar) -> jax.Array:
         return jnp.where(along == 0, 0.0, along / (shift + gaps))
 
     def excess(shift: Scalar) -> Scalar:
@@ -355,11 +355,11 @@ def change_of_control(
 
 def Switching(  # noqa: N802 (its name since version 1, when it was a class)
     costs: Costs,
-    price: Scalar,
+    price: float,
     ladder: tuple[HumanModel, ...],
-    trust_radius: Scalar = Quadratic.trust_radius,
+    trust_radius: float = Quadratic.trust_radius,
     trust_tolerance: Scalar = TRUST_TOLERANCE,
-    cooldown: Index = Quadratic.cooldown,
+    cooldown: int = Quadratic.cooldown,
     steps: int | None = 1,
 ) -> Rule[GameEvidence]:
     """Return the rule of Algorithm 1, by default with the paper's one-step estimate.

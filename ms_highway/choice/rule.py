@@ -35,7 +35,6 @@ from ms_highway.runtime.arrays import (
     Published,
     Rungs,
     Scalar,
-    State,
     naming_writes,
     read_only,
 )
@@ -116,8 +115,8 @@ class Outcome(NamedTuple):
     car moved.
 
     Attributes:
-        before: all cars before the step.
-        after: all cars after it.
+        before: all cars before the step; on a stock road, the scene.
+        after: all cars after it, likewise.
         robot: scaled control that the robot executed.
         humans: scaled controls of the humans, as observed.
         reward: the robot's reward after the step.
@@ -125,8 +124,8 @@ class Outcome(NamedTuple):
             humans.
     """
 
-    before: State
-    after: State
+    before: Any
+    after: Any
     robot: Control
     humans: HumansControl
     reward: Scalar
@@ -384,7 +383,8 @@ def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
     """
     if not isinstance(rule.chooser, Priced):
         return rule
-    return replace(rule, chooser=replace(rule.chooser, price=price))
+    chooser = replace(rule.chooser, price=price)  # type: ignore[arg-type] # JAX may trace it
+    return replace(rule, chooser=chooser)
 
 
 # Orders of models

@@ -165,7 +165,7 @@ def search(
     yield rounds + 1
 
 
-def mutant(random: np.random.Generator, order: Array, rungs: int) -> Array:
+def mutant(random: np.random.Generator, order: np.ndarray, rungs: int) -> np.ndarray:
     """Return an order [steps] with a random rung in one or two stretches of steps."""
     new = order.copy()
     steps = len(order)

@@ -255,13 +255,13 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         gains: their gains.
     """
 
-    def one(network: Network, inputs: Array) -> tuple[Array, Array]:
+    def one(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
         means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
         return means[0], noise(spreads[0])
 
     def loss(network: Network, chosen: Array) -> Array:
         means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(
-            network, inputs[chosen]
+            network, jnp.asarray(inputs)[chosen]
         )
         counts = jnp.isfinite(gains[chosen])
         errors = means - jnp.where(counts, gains[chosen], 0)
@@ -275,12 +275,14 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY
     )
 
-    def step(carry: Any, chosen: Array) -> tuple[Any, None]:
+    def step(carry: Any, chosen: jax.Array) -> tuple[Any, None]:
         network, state = carry
         updates, state = optimizer.update(
             jax.grad(loss)(network, chosen), state, network
         )
         return (optax.apply_updates(network, updates), state), None
 
-    (network, _), _ = jax.lax.scan(step, (network, optimizer.init(network)), chosen)
+    (network, _), _ = jax.lax.scan(
+        step, (network, optimizer.init(network)), jnp.asarray(chosen)
+    )
     return network

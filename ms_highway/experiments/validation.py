@@ -112,7 +112,7 @@ def validate_file(file: Path) -> dict:
     return report
 
 
-def read_episodes(file: Path) -> tuple[Scenario, dict[str, Array]]:
+def read_episodes(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
     """Read and check a reference file; return its scenario and its arrays.
 
     Raises:
@@ -156,7 +156,9 @@ def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
     return np.array([plans.plan(state, [0])[0].plan.robot[0] for state in states])
 
 
-def _decisions(game: Game, episodes: dict[str, Array], price: float) -> dict[str, int]:
+def _decisions(
+    game: Game, episodes: dict[str, np.ndarray], price: float
+) -> dict[str, int]:
     """Count the choices that agree with the logged ones; each is made after the logged
     step before it.
     """

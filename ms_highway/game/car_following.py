@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 from ms_highway.geometry.curve import namespace
-from ms_highway.runtime.arrays import Numbers, Scalar
+from ms_highway.runtime.arrays import Numbers, Numeric, Scalar
 
 MeasuredBetween: TypeAlias = Literal["bumpers", "centres"]
 
@@ -57,10 +57,10 @@ class IdmParameters:
 
     def acceleration(
         self,
-        speed: float | Numbers,
-        desired_speed: float | Numbers,
-        gap: float | Numbers,
-        leader_speed: float | Numbers,
+        speed: Numeric,
+        desired_speed: Numeric,
+        gap: Numeric,
+        leader_speed: Numeric,
     ) -> Numbers:
         """Return the acceleration of a follower [m/s^2]; arrays of NumPy or JAX.
 

@@ -24,7 +24,12 @@ from ms_highway.geometry.bodies import (
     separation_of_directed,
     square_distance,
 )
-from ms_highway.runtime.arrays import Array, Numbers, Times
+from ms_highway.runtime.arrays import (
+    Array,
+    Numbers,
+    Numeric,
+    Times,
+)
 
 
 @dataclass(frozen=True)
@@ -67,12 +72,12 @@ def overlap(
     length, width = jnp.asarray(scene.car_size) + clearance
     size = (length, width)
     gaps = separation_of_directed(own[:4], others[:4], size, size)
-    with_cars = (gaps < 0).any(axis=0)
+    with_cars = jnp.any(gaps < 0, axis=0)
     if not len(scene.obstacles):
         return with_cars
     radius = (jnp.asarray(scene.obstacle_size)[1] + clearance) / 2
     along, across = _obstacles_in_frame(scene, own)
-    with_obstacles = circles_overlap(along, across, size, radius).any(axis=0)
+    with_obstacles = jnp.any(circles_overlap(along, across, size, radius), axis=0)
     return with_cars | with_obstacles
 
 
@@ -141,7 +146,7 @@ def _cost(distance: Numbers) -> Numbers:
     return CONTACT.cost * jnp.maximum(CONTACT.margin - distance, 0.0) ** 3
 
 
-def _residual(distance: Numbers) -> Numbers:
+def _residual(distance: Numbers) -> jax.Array:
     """Return ``sqrt(c'' / 2) D`` of the cost c, with c'' taken as constant."""
     depth = jnp.maximum(CONTACT.margin - jax.lax.stop_gradient(distance), 0.0)
     second_derivative = 6 * CONTACT.cost * depth
@@ -154,10 +159,10 @@ def _distance_of_obstacles(
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]
     size = jnp.asarray(scene.car_size) + diameter
-    return _distance(size, *_obstacles_in_frame(scene, own))
+    return jnp.asarray(_distance(size, *_obstacles_in_frame(scene, own)))
 
 
-def _distance(size: Array, along: Numbers, across: Numbers) -> Numbers:
+def _distance(size: Array, along: Numeric, across: Numeric) -> Numbers:
     """Return the `square_distance` of places along and across a body of a size [m]."""
     return square_distance(along / (size[0] / 2), across / (size[1] / 2))
 

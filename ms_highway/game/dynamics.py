@@ -77,7 +77,7 @@ def without_turns(angle: Float[SameArray, "*shape"]) -> Float[SameArray, "*shape
     return angle - 2 * pi * turns
 
 
-def facing(states: Float[np.ndarray, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
+def facing(states: Float[Array, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
     """Return states whose headings have no whole turns, see `without_turns`.
 
     A car that has turned once faces as before. Single precision would lose digits of
@@ -286,7 +286,7 @@ def within_grip(
     return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
 
 
-def coast(dynamics: Dynamics, state: Float[jax.Array, "*cars 4"], steps: int) -> Motion:
+def coast(dynamics: Dynamics, state: Float[Array, "*cars 4"], steps: int) -> Motion:
     """Return the motion at constant velocity, arrays [*cars, steps] (without the
     initial state).
     """

@@ -17,7 +17,7 @@ from ms_highway.game.collision_risk import collision_risk
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.reward import TRAFFIC_FEATURES, Feature, Reward
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import Array, Times
+from ms_highway.runtime.arrays import Array, Scalar, Times
 
 HEADING_SHARE = 0.01
 """Weight of directional relative to lateral alignment with a lane, the paper's."""
@@ -62,7 +62,7 @@ def reward(
     scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
 ) -> Float[jax.Array, "*batch"]:
     """Compute car 0's reward in each state, theta . phi."""
-    return motion_reward(scene, parameters, *_apart(states))
+    return jnp.asarray(motion_reward(scene, parameters, *_apart(states)))
 
 
 def features(
@@ -161,7 +161,7 @@ def _at_every_moment(
 
     It is mapped over times, so that it sees one moment at a time.
     """
-    mapped: Callable[[Motion, Motion], jax.Array] = partial(function, scene)
+    mapped: Callable[[Motion, Motion], Scalar] = partial(function, scene)
     for _ in range(own.x.ndim):
         mapped = jax.vmap(mapped, in_axes=-1, out_axes=-1)
     return jnp.asarray(mapped(own, others), own.x.dtype)

@@ -211,8 +211,12 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
 
 @jax.jit
 def _held(
-    dynamics: Dynamics, grip: Scalar, bend: Scalar, car: Car, controls: ManyControls
-) -> ManyControls:
+    dynamics: Dynamics,
+    grip: jax.Array,
+    bend: jax.Array,
+    car: Car,
+    controls: Float[jax.Array, "*batch steps 2"],
+) -> Float[jax.Array, "*batch steps 2"]:
     now = jnp.broadcast_to(car[3], controls.shape[:-2])
     speed = jnp.maximum(speeds(dynamics, now, controls[..., 1])[..., :-1], 0.0)
     return within_grip(dynamics, grip, speed, controls, bend)

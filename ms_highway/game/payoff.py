@@ -53,7 +53,13 @@ from ms_highway.game.reward import Reward
 from ms_highway.game.scene import Scene
 from ms_highway.geometry.bodies import body_points
 from ms_highway.numerics.second_derivatives import along_fields
-from ms_highway.runtime.arrays import Scalar, Times, Trajectories, Trajectory
+from ms_highway.runtime.arrays import (
+    Array,
+    Scalar,
+    Times,
+    Trajectories,
+    Trajectory,
+)
 
 
 @dataclass(frozen=True)
@@ -168,7 +174,7 @@ class Payoff:
         return self.smooth and self.scene.bodies_collide
 
     @jax.jit
-    def steps(self, own: Trajectory, others: Trajectories) -> Float[jax.Array, "steps"]:
+    def steps(self, own: Trajectory, others: Trajectories) -> Float[Array, "steps"]:
         """Compute the reward after each step of a trajectory among those of others."""
         motion = Motion(*own)
         around = Motion(*jnp.moveaxis(others, 1, 0))
@@ -312,7 +318,7 @@ class Payoff:
 
 def _bends_of_points(
     own: Trajectory,
-    points: Float[jax.Array, "points 2"],
+    points: Float[Array, "points 2"],
     residuals: Callable[[PointPlaces], Float[jax.Array, "*rows points steps"]],
 ) -> Bends:
     """Return half of the second derivatives of the sum of squares of residuals.

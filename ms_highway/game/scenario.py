@@ -28,7 +28,7 @@ from ms_highway.numerics.solvers import (
     SolverName,
     gradient_steps,
 )
-from ms_highway.runtime.arrays import Published, read_only
+from ms_highway.runtime.arrays import Published, Scalar, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
@@ -427,7 +427,7 @@ def _planner(
     rate. With steering by curvature, it is converted at the paper's speed limit,
     ``omega = yaw_rate / v``: omega's gradient step scales with 1/v^2.
     """
-    turn_scale = 1.0
+    turn_scale: Scalar = 1.0
     if dynamics.steering == "curvature":
         turn_scale = PAPER_UNIT / (SPEED_LIMIT * scene.length_unit)
     limit = np.full(2, np.inf) if control_limit is None else np.array(control_limit)

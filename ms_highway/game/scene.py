@@ -8,7 +8,13 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.runtime.arrays import Array, SameArray, Scalar
+from ms_highway.geometry.curve import namespace
+from ms_highway.runtime.arrays import (
+    Array,
+    Numeric,
+    SameArray,
+    Scalar,
+)
 
 Contact: TypeAlias = Literal["paper", "bodies"]
 
@@ -75,8 +81,8 @@ class Scene:
     obstacles: Float[Array, "obstacles 2"] = field(
         default_factory=lambda: np.zeros((0, 2))
     )
-    obstacle_size: Float[Array, "2"] = CONE_SIZE
-    car_size: Float[Array, "2"] = CAR_SIZE
+    obstacle_size: Float[Array, "2"] | tuple[float, float] = CONE_SIZE
+    car_size: Float[Array, "2"] | tuple[float, float] = CAR_SIZE
     corner: Scalar = 0.5
     target_lane: Scalar = 0.0
     length_unit: Scalar = PAPER_UNIT
@@ -91,7 +97,8 @@ class Scene:
 
     def is_reached(self, y: Float[Array, "*cars"]) -> Bool[Array, "*cars"]:
         """Return whether cars at lateral positions have reached the target lane."""
-        return abs(y - float(self.target_lane)) < self.arrival_tolerance
+        distance = y - float(self.target_lane)
+        return namespace(y).abs(distance) < self.arrival_tolerance
 
     def __post_init__(self) -> None:
         for name, shape in self.shapes.items():
@@ -228,9 +235,9 @@ class Leader(NamedTuple):
         there: whether there is one.
     """
 
-    gap: Float[Array, "*cars"]
-    speed: Float[Array, "*cars"]
-    there: Bool[Array, "*cars"]
+    gap: Numeric
+    speed: Numeric
+    there: Bool[Array, "*cars"] | np.bool
 
 
 def leaders(

@@ -11,7 +11,12 @@ from numpy.typing import ArrayLike
 
 from ms_highway.game.reward import Reward
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, Scenario, Stream
-from ms_highway.runtime.arrays import Array, HumansWeights, State
+from ms_highway.runtime.arrays import (
+    Array,
+    HumansWeights,
+    Numeric,
+    State,
+)
 
 
 @dataclass(frozen=True)
@@ -76,7 +81,7 @@ class TracedRandom:
         return loc + jnp.asarray(scale) * jax.random.normal(self._next(), _shape(size))
 
     def uniform(
-        self, low: float = 0.0, high: Array = 1.0, size: ArrayLike = ()
+        self, low: float = 0.0, high: Numeric = 1.0, size: ArrayLike = ()
     ) -> jax.Array:
         """Draw from a uniform distribution."""
         return jax.random.uniform(self._next(), _shape(size), minval=low, maxval=high)

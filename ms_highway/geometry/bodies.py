@@ -7,20 +7,27 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.geometry.curve import Pose, namespace
-from ms_highway.runtime.arrays import Numbers
+from ms_highway.geometry.curve import namespace
+from ms_highway.runtime.arrays import (
+    Array,
+    Numbers,
+    Numeric,
+    Scalar,
+)
 
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array(
     [(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32
 )  # of edges and of the body
 
-Sizes = Float[Any, "*bodies 2"]
+Sizes = Float[Array, "*bodies 2"]
+AnySizes = Sizes | tuple[float, float]
+AnyPose = tuple[Numeric, Numeric, Numeric]
 Flags = Bool[Any, "*shape"]
-Directions = tuple[Numbers, Numbers]
+Directions = tuple[Numeric, Numeric]
 """Numbers along and across a body."""
 
-Directed = tuple[Numbers, Numbers, Numbers, Numbers]
+Directed = tuple[Numeric, Numeric, Numeric, Numeric]
 """x, y [m], and cosine and sine of the heading."""
 
 MIN_SQUARE = 1e-6
@@ -29,7 +36,9 @@ finite.
 """
 
 
-def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
+def separation(
+    own: AnyPose, size: AnySizes, other: AnyPose, sizes: AnySizes
+) -> Numbers:
     """Return the distance between rectangles along the axis that separates them best
     [m]; negative if they overlap.
 
@@ -41,7 +50,7 @@ def separation(own: Pose, size: Sizes, other: Pose, sizes: Sizes) -> Numbers:
     """
     xp = namespace(*own, size, *other, sizes)
 
-    def directed(pose: Pose) -> Directed:
+    def directed(pose: AnyPose) -> Directed:
         x, y, heading = pose
         return x, y, xp.cos(heading), xp.sin(heading)
 
@@ -90,7 +99,7 @@ def separation_of_directed(
 
 
 def circles_overlap(
-    along: Numbers, across: Numbers, size: Directions, radius: Numbers
+    along: Numeric, across: Numeric, size: Directions, radius: Numeric
 ) -> Flags:
     """Return whether circles overlap a rectangle: whether it is within their radius.
 
@@ -106,7 +115,7 @@ def circles_overlap(
     return beyond_end**2 + beyond_side**2 < radius**2
 
 
-def place_in_frame(own: Directed, x: Numbers, y: Numbers) -> Directions:
+def place_in_frame(own: Directed, x: Numeric, y: Numeric) -> Directions:
     """Return where places are, along and across a body, from its centre [m]."""
     own_x, own_y, cosine, sine = own
     dx = x - own_x
@@ -114,7 +123,7 @@ def place_in_frame(own: Directed, x: Numbers, y: Numbers) -> Directions:
     return cosine * dx + sine * dy, cosine * dy - sine * dx
 
 
-def body_points(size: Float[Any, "2"], corner: Numbers) -> Float[Any, "9 2"]:
+def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
     """Return x and y of the corners, the middles of the edges and the centre of a body
     in its own frame [m].
 
@@ -140,7 +149,7 @@ def point_offsets(
     other_x, other_y, other_cosine, other_sine = other
     xp = namespace(*own, *other)
     times = np.ndim(other_x) - 1
-    x, y, cosine, sine = (xp.broadcast_to(part, other_x.shape) for part in own)
+    x, y, cosine, sine = (xp.broadcast_to(part, np.shape(other_x)) for part in own)
     dx = x - other_x
     dy = y - other_y
     ahead = other_cosine * dx + other_sine * dy

@@ -15,7 +15,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Numbers
+from ms_highway.runtime.arrays import Numbers, Numeric
 
 SPACING = 2.0
 """Default distance between the samples of a curve [m]."""
@@ -52,7 +52,7 @@ class Curve:
     y: Knots
     heading: Knots
     curvature: Knots
-    start: Numbers = field(default=-BEHIND, metadata={"static": True})
+    start: Numeric = field(default=-BEHIND, metadata={"static": True})
     spacing: float = field(default=SPACING, metadata={"static": True})
 
     @classmethod
@@ -65,17 +65,17 @@ class Curve:
         return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
 
     @property
-    def end(self) -> Numbers:
+    def end(self) -> Numeric:
         """Return s of the last sample [m]."""
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
-    def interpolate(self, values: Knots, s: Numbers) -> Numbers:
+    def interpolate(self, values: Knots, s: Numeric) -> Numbers:
         """Interpolate values that belong to the samples; beyond the ends, the outermost
         are kept.
         """
         return interpolate(values, s, self.start, self.spacing)
 
-    def place(self, s: Numbers, d: Numbers) -> Pose:
+    def place(self, s: Numeric, d: Numeric) -> Pose:
         """Return x, y and the curve's heading at curve coordinates."""
         x, y, heading, _ = self._at(s)
         xp = namespace(heading)
@@ -84,7 +84,7 @@ class Curve:
         beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
         return x + beyond * cosine - d * sine, y + beyond * sine + d * cosine, heading
 
-    def project(self, x: Numbers, y: Numbers, heading: Numbers) -> Pose:
+    def project(self, x: Numbers, y: Numbers, heading: Numeric) -> Pose:
         """Return s, d and relative heading in [-pi, pi) of poses: the inverse of
         `place`.
 
@@ -117,7 +117,7 @@ class Curve:
         s, d, _ = self.project(points[..., 0], points[..., 1], 0.0)
         return s, d
 
-    def bend(self, s: Numbers) -> Numbers:
+    def bend(self, s: Numeric) -> Numbers:
         """Return the curvature [1/m]."""
         return self._at(s)[3]
 
@@ -126,7 +126,7 @@ class Curve:
         part = jax.tree.map(lambda values: values[..., low:high], self)
         return replace(part, start=self.start + low * self.spacing)
 
-    def _at(self, s: Numbers) -> list[Numbers]:
+    def _at(self, s: Numeric) -> list[Numbers]:
         """Interpolate x, y, heading and curvature; several curves are interpolated row
         by row.
         """
@@ -141,7 +141,7 @@ class Curve:
         return found
 
 
-def namespace(*arrays: Any) -> ModuleType:
+def namespace(*arrays: object) -> ModuleType:
     """Return ``jax.numpy`` if any of the arrays is JAX's, ``numpy`` otherwise."""
     for array in arrays:
         if isinstance(array, jax.Array):
@@ -154,7 +154,7 @@ def wrapped(angle: Any) -> Any:
     return (angle + pi) % (2 * pi) - pi
 
 
-def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]:
+def rotated(x: Numbers, y: Numbers, heading: Numeric) -> tuple[Numbers, Numbers]:
     """Return the components of a vector along a heading and to the right of it."""
     xp = namespace(x, y, heading)
     cosine = xp.cos(heading)
@@ -163,7 +163,7 @@ def rotated(x: Numbers, y: Numbers, heading: Numbers) -> tuple[Numbers, Numbers]
 
 
 def interpolate(
-    values: Knots, s: Numbers, start: Numbers = -BEHIND, spacing: float = SPACING
+    values: Knots, s: Numeric, start: Numeric = -BEHIND, spacing: float = SPACING
 ) -> Numbers:
     """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep
     the outermost beyond the ends.
@@ -174,7 +174,7 @@ def interpolate(
 
 
 def _between(
-    samples: int, s: Numbers, start: Numbers, spacing: float
+    samples: int, s: Numeric, start: Numeric, spacing: float
 ) -> tuple[Numbers, Numbers]:
     """Return the number of the sample before s, and the share of the way from it to the
     next one.

@@ -92,7 +92,7 @@ def project_cars(
     own_x, own_y, along, bend = parts
     near = Curve(own_x, own_y, along, bend, FINE * first[:, None], FINE)
     s, d, turned = near.project(x, y, headings[:, None])
-    return s[:, 0], d[:, 0], turned[:, 0]
+    return np.asarray(s[:, 0]), np.asarray(d[:, 0]), np.asarray(turned[:, 0])
 
 
 def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:

@@ -222,7 +222,6 @@ def _episode(name: str, observations: np.ndarray) -> Recording:
     game = demonstration_game()
     states = np.where(tracks[..., :1] == 1, tracks[..., 1:], np.nan)
     sizes = [game.scene.car_size] * tracks.shape[1]
-    road = game.scene.lanes, game.scene.lane_width, game.robot.speed_limit
     content = fingerprint(tracks)
     return Recording(
         name,
@@ -230,7 +229,9 @@ def _episode(name: str, observations: np.ndarray) -> Recording:
         states,
         np.array([0]),
         np.array(sizes),
-        *road,
+        np.asarray(game.scene.lanes),
+        float(game.scene.lane_width),
+        float(game.robot.speed_limit),
         measured=False,
         fingerprint=content,
     )

@@ -106,10 +106,13 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
     def reward(path: Trajectory) -> Scalar:
         return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
 
-    path, cost, within = (
-        partial(function, game, car) for function in (move, discomfort, bounded)
+    return Objective(
+        path=partial(move, game, car),
+        reward=reward,
+        cost=partial(discomfort, game, car),
+        bounded=partial(bounded, game, car),
+        slope=jax.grad(reward),
     )
-    return Objective(path, reward, cost, within, jax.grad(reward))
 
 
 @jax.jit

@@ -154,7 +154,9 @@ def shown_traits(drivers: Drivers, snapshot: Snapshots) -> TraitLogarithms:
         last = first + STEPS_PER_SECOND
         gained = (speeds[last] - speeds[first]) / (STEPS_PER_SECOND * TIME_STEP)
         predicted, slope = expected(
-            mean, speeds[then].T, Leader(*(part[then].T for part in leader))
+            mean,
+            speeds[then].T,
+            Leader(*(jnp.asarray(part)[then].T for part in leader)),
         )
         along = jnp.einsum("cij,cj->ci", covariance, slope)
         variance = jnp.sum(slope * along, axis=1) + prior.noise**2

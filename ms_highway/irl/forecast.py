@@ -130,10 +130,17 @@ def predict(
     bodies = np.pad(
         np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0
     )
-    road = (np.sort(centres), lane_width, speed_limit)
     numbers = np.arange(len(bodies))
     snapshot = Snapshots(
-        near[:-STEPS], near[-STEPS:], bodies, *road, numbers >= 0, numbers, 0
+        near[:-STEPS],
+        near[-STEPS:],
+        bodies,
+        np.sort(centres),
+        np.asarray(lane_width),
+        np.asarray(speed_limit),
+        numbers >= 0,
+        numbers,
+        0,
     )
     drivers = (
         learned.drivers

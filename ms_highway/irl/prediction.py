@@ -105,10 +105,10 @@ class IdmPeer(Structure):
 
 HIGHWAY_ENV_PEER = IdmPeer(
     speed=0.0,
-    headway=HIGHWAY_ENV_IDM.headway,
-    gap=HIGHWAY_ENV_IDM.standstill,
-    acceleration=HIGHWAY_ENV_IDM.max_acceleration,
-    braking=HIGHWAY_ENV_IDM.comfortable_braking,
+    headway=float(HIGHWAY_ENV_IDM.headway),
+    gap=float(HIGHWAY_ENV_IDM.standstill),
+    acceleration=float(HIGHWAY_ENV_IDM.max_acceleration),
+    braking=float(HIGHWAY_ENV_IDM.comfortable_braking),
     settling=0.6,
     steering=0.2,
     lengths=0.0,

@@ -33,7 +33,7 @@ from ms_highway.irl.recording import (
     numbered,
     track_of,
 )
-from ms_highway.runtime.arrays import Vector
+from ms_highway.runtime.arrays import Array
 
 KINK = 0.05  # sine of the heading, below which noise may turn the car to either side
 SATURATED = 0.8  # share of the limits of plans, from which controls count as saturated
@@ -58,7 +58,7 @@ class Segments(Rows):
     """
 
     scenes: Scene
-    speed_limit: Vector
+    speed_limit: Float[Array, "*n"]
     start: States
     controls: Controls
     others: Float[Any, "*n 6 K 4"]
@@ -100,7 +100,7 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
                 rows.append(
                     Segments(
                         scene,
-                        recording.speed_limit,
+                        np.asarray(recording.speed_limit),
                         start,
                         controls,
                         others,

@@ -24,7 +24,7 @@ from ms_highway.irl.recording import (
     Rows,
     numbered,
 )
-from ms_highway.runtime.arrays import Vector
+from ms_highway.runtime.arrays import Array
 
 PAST_STEPS = 30
 """Steps of 0.1 s before a moment, from which the traits of drivers are inferred."""
@@ -77,8 +77,8 @@ class Snapshots(Rows):
     future: CarStates
     sizes: Float[Any, "n cars 2"]
     lanes: Cars
-    lane_width: Vector
-    speed_limit: Vector
+    lane_width: Float[Array, "*n"]
+    speed_limit: Float[Array, "*n"]
     predicted: CarFlags
     track: CarNumbers
     group: Numbers
@@ -136,13 +136,22 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
         for car in recording.drivers:
             seen = np.flatnonzero(recording.seen[:, car])
             predicted[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
-        road = lanes, recording.lane_width, recording.speed_limit
         for time in np.flatnonzero(predicted.any(axis=1)):
             past, future = np.split(
                 states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1]
             )
             rows.append(
-                Snapshots(past, future, sizes, *road, predicted[time], track, group)
+                Snapshots(
+                    past,
+                    future,
+                    sizes,
+                    lanes,
+                    np.asarray(recording.lane_width),
+                    np.asarray(recording.speed_limit),
+                    predicted[time],
+                    track,
+                    group,
+                )
             )
     if not rows:
         raise ValueError(

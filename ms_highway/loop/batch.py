@@ -173,7 +173,8 @@ def step_episodes(
     loop: Loop, own: Episodes, now: Now, inputs: StepInputs
 ) -> tuple[Now, Records]:
     """Advance a chunk of episodes by one step."""
-    own = replace(own, starts=None, schedules=None)  # which a step does not need
+    # A step needs neither the starts nor the schedules.
+    own = replace(own, starts=None, schedules=None)  # type: ignore[arg-type]
     advance = partial(_step, loop)
     if loop.together > 1:
         return jax.vmap(advance, axis_name=EPISODES)(own, now, inputs)
@@ -199,7 +200,7 @@ def _step(
     records = Records(
         result.driven.rungs,
         result.choice.rungs,
-        result.status,
+        jnp.asarray(result.status),
         gains=jnp.asarray(decision.gains, jnp.float32),
         chosen=(
             None

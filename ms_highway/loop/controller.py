@@ -103,7 +103,9 @@ class ControlStep:
         """Return the highest estimated gain of each model over all humans, by name."""
         if self.gains is None:
             return {}
-        gains = zip(self.ladder, highest_gains(self.gains).tolist(), strict=True)
+        gains = zip(
+            self.ladder, highest_gains(np.asarray(self.gains)).tolist(), strict=True
+        )
         return {name: gain for name, gain in gains if np.isfinite(gain)}
 
 

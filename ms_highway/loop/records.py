@@ -137,8 +137,9 @@ class Records(NamedTuple):
     rungs: Int[Array, "episodes steps humans"]
     planned: Int[Array, "episodes steps humans"]
     status: Int[Array, "episodes steps"]
-    reward: Float[Array, "episodes steps"] = None
-    collision: Bool[Array, "episodes steps"] = None
-    gains: Float[Array, "episodes steps humans rungs"] = None
-    states: Float[Array, "episodes steps cars 4"] = None
+    # The world moves after the robot has planned: these are filled in last.
+    reward: Float[Array, "episodes steps"] = None  # type: ignore[assignment]
+    collision: Bool[Array, "episodes steps"] = None  # type: ignore[assignment]
+    gains: Float[Array, "episodes steps humans rungs"] = None  # type: ignore[assignment]
+    states: Float[Array, "episodes steps cars 4"] = None  # type: ignore[assignment]
     chosen: Int[Array, "episodes steps humans"] | None = None

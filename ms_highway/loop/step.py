@@ -89,7 +89,7 @@ class Carry(NamedTuple):
 
     memory: Memory
     outcome: Outcome
-    belief: Belief
+    belief: Belief | None
     fallback: RemainingPlan
 
 
@@ -104,7 +104,7 @@ class Choice(NamedTuple):
         evidence: what was looked at, if the plan needs it.
     """
 
-    belief: Belief
+    belief: Belief | None
     decision: Decision
     rungs: Rungs
     evidence: Any = None
@@ -294,6 +294,7 @@ def choose(
         return Choice(carry.belief, decision, decision.memory.rungs)
 
     # Infer which humans respond. Before the first step, nobody has moved.
+    assert carry.belief is not None
     moved = jnp.any(before != now)
     belief = jnp.where(
         moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief

@@ -191,7 +191,9 @@ def until_still(
         controls.
     """
 
-    def go(now: tuple[Point, Scalar, Index]) -> tuple[Point, Scalar, Index]:
+    def go(
+        now: tuple[Point, jax.Array, jax.Array],
+    ) -> tuple[Point, jax.Array, jax.Array]:
         before, _, number = now
         after = step(number, before)
         change = jax.tree.map(jnp.subtract, after, before)
@@ -206,7 +208,7 @@ def until_still(
         point = jax.tree.map(partial_step, before, after, change)
         return point, part, number + 1
 
-    def goes_on(now: tuple[Point, Scalar, Index]) -> Flag:
+    def goes_on(now: tuple[Point, jax.Array, jax.Array]) -> Flag:
         _, part, number = now
         return (part > MIN_PART) & (number < most)
 

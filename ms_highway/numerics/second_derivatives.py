@@ -3,7 +3,7 @@ responses from the Hessian.
 """
 
 from collections.abc import Callable
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias, TypeVar
 
 import jax
 from jax import numpy as jnp
@@ -12,13 +12,14 @@ from jaxtyping import Float
 from ms_highway.runtime.arrays import (
     Controls,
     Matrix,
-    Numbers,
     Scalar,
     Trajectory,
     Vector,
 )
 
 Influence: TypeAlias = Literal["exact", "damped"]
+
+Result = TypeVar("Result")  # a pytree of arrays
 
 
 class Expansion(NamedTuple):
@@ -98,8 +99,8 @@ def second_order_expansion(
 
 
 def along_fields(
-    function: Callable[[Trajectory], Numbers], steps: Trajectory
-) -> tuple[Numbers, Numbers]:
+    function: Callable[[jax.Array], Result], steps: jax.Array
+) -> tuple[Result, Result]:
     """Return a function of trajectories and its derivatives in each field [fields,
     *value].
 

@@ -244,9 +244,8 @@ def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
     = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
     number, size = PAPER_STEPS
-    length = planning.step_size or min(
-        size, STEP_SHARE * longest_step(planning.horizon, planning.time_step)
-    )
+    longest = float(longest_step(planning.horizon, planning.time_step))
+    length = planning.step_size or min(size, STEP_SHARE * longest)
     return planning.iterations or max(number, round(number * size / length)), length
 
 

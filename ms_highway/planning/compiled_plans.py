@@ -83,19 +83,20 @@ def plan_for(
         start = cold_start(game, state)
     last = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
     begin = last
+    rungs = None if len(models) == 1 else rungs
     expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
 
     # A model starts the plans of responding humans, or it predicts the controls of the
     # others.
     for rung, model in enumerate(models):
-        chosen = None if len(models) == 1 else rungs == rung
+        chosen = None if rungs is None else jnp.asarray(rungs) == rung
         if model.responds:
             if type(model).start is not HumanModel.start:
                 begin = _started(model, chosen, game, state, last, begin)
         elif type(model) is not Naive:
             expected = _predicted(model, chosen, game, state, last, expected)
 
-    if len(models) == 1:
+    if rungs is None:
         (model,) = models
         humans = begin.humans if model.responds else expected
         known = KnownResponders(tuple(range(game.number)) if model.responds else ())

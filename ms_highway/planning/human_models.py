@@ -168,7 +168,7 @@ class IntelligentDriver(PredictedHuman):
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the controls of a human that keeps its heading and follows."""
 
-        def follow(state: State, _: None) -> tuple[State, Control]:
+        def follow(state: jax.Array, _: None) -> tuple[jax.Array, Control]:
             control = following_control(game, state)
             kept = keep_velocity(game.dynamics, state)
             return step(game.dynamics, state, kept.at[1].set(control)), control

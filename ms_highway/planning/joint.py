@@ -263,8 +263,8 @@ def _gradient_step(
     along_robot, along_others = game.payoff.slopes(robot, others)
 
     def respond(
-        human: Index, now: tuple[Trajectory, HumansControls, Trajectories]
-    ) -> tuple[Trajectory, HumansControls, Trajectories]:
+        human: Index, now: tuple[Trajectory, jax.Array, Trajectories]
+    ) -> tuple[Trajectory, jax.Array, Trajectories]:
         slope, humans, paths = now
         own = swap_roles(game, human)
         car = state[1 + human]
@@ -294,7 +294,7 @@ def _gradient_step(
             paths.at[human].set(path(controls)),
         )
 
-    start = (along_robot, plan.humans, others)
+    start = (along_robot, jnp.asarray(plan.humans), others)
     slope, humans, paths = responders.fold(count, respond, start)
 
     # The robot's step, along its reward and what it earns through the humans.
@@ -320,7 +320,7 @@ class _Responses(NamedTuple):
     mixed: Float[
         jax.Array, "humans fields fields steps"
     ]  # second derivatives in its trajectory, then the robot's
-    humans: HumansControls  # improved
+    humans: Float[jax.Array, "humans steps 2"]  # improved
 
 
 def _newton_step(
@@ -370,14 +370,14 @@ def _newton_step(
 
     nothing = jax.tree.map(lambda part: jnp.zeros((game.number, *part.shape)), robot)
     unmixed = jnp.zeros((game.number, len(path), *path.shape))
-    none = _Responses(robot.gradient, nothing, unmixed, plan.humans)
+    none = _Responses(robot.gradient, nothing, unmixed, jnp.asarray(plan.humans))
     responses = responders.fold(count, respond, none)
 
     # The robot's whole step, and each human's linear reaction to it.
     whole_step = robot.step(responses.slope)
     ahead = robot.jacobian @ whole_step
 
-    def react(human: Index, reactions: HumansControls) -> HumansControls:
+    def react(human: Index, reactions: jax.Array) -> jax.Array:
         local = jax.tree.map(lambda part: part[human], responses.local)
         change = _mixed(ahead, jnp.swapaxes(responses.mixed[human], 0, 1))
         wanted = local.step(change.ravel() @ local.jacobian.reshape(change.size, -1))
@@ -391,14 +391,14 @@ def _newton_step(
         """
 
         def put(
-            human: Index, now: tuple[HumansControls, Trajectories]
-        ) -> tuple[HumansControls, Trajectories]:
+            human: Index, now: tuple[jax.Array, Trajectories]
+        ) -> tuple[jax.Array, Trajectories]:
             humans, paths = now
             car = state[1 + human]
             own = bounded(game, car, responses.humans[human] + part * reactions[human])
             return humans.at[human].set(own), paths.at[human].set(move(game, car, own))
 
-        return responders.fold(count, put, (plan.humans, others))
+        return responders.fold(count, put, (jnp.asarray(plan.humans), others))
 
     def robot_after(part: Scalar) -> Controls:
         return bounded(game, state[0], plan.robot + part * whole_step.reshape(-1, 2))

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
 from ms_highway.game.game import Game
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.runtime.arrays import Array, Car, Control, Numbers, Scalar
+from ms_highway.runtime.arrays import Array, Car, Control, Scalar
 
 STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
 MAX_LATERAL_ACCELERATION = 6.0  # m/s^2
@@ -75,7 +75,7 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
     lanes = jnp.asarray(game.scene.lanes)
     length = jnp.asarray(game.scene.car_size)[0]
     present = _nearest(lanes, car[1])
-    places = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    places = jnp.asarray(jax.vmap(partial(_nearest, lanes))(others.y[:, 0]))
     x = others.x
     speed = others.speed
     leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
@@ -167,9 +167,11 @@ def _drive(
 ) -> tuple[jax.Array, jax.Array]:
     """Return the scaled controls of a driver, and the states after them."""
 
-    def go(car: Car, now: Around) -> tuple[jax.Array, tuple[Numbers, Numbers]]:
-        control = driver(car, now)
+    def go(
+        car: jax.Array, now: Around
+    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+        control = jnp.asarray(driver(car, now))
         moved = step(game.dynamics, car, control)
         return moved, (control / game.planner.control_scale, moved)
 
-    return jax.lax.scan(go, car, around, steps)[1]
+    return jax.lax.scan(go, jnp.asarray(car), around, steps)[1]

@@ -132,7 +132,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
         [objective.path(last)[None], jnp.stack(observe(states), axis=1)]
     )
     earned = jax.vmap(objective.earned)(controls, paths)
-    return best_of(controls, earned.at[0].add(RESTART_MARGIN))
+    return best_of(controls, jnp.asarray(earned).at[0].add(RESTART_MARGIN))
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

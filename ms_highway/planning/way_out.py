@@ -20,7 +20,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Control, Controls, Flag, Index, State
+from ms_highway.runtime.arrays import Control, Controls, Flag, State
 
 # steps of an escape: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster than
 # the limit
@@ -117,7 +117,7 @@ def _steps_free(
     """
     scene = game.scene
 
-    def count(way: Float[jax.Array, "steps 4"]) -> Index:
+    def count(way: Float[jax.Array, "steps 4"]) -> jax.Array:
         own = observe(way)
         free = ~touches(scene, own, others)
         clear = ~touches(scene, own, others, CLEARANCE)

@@ -15,7 +15,7 @@ import numpy as np
 
 from ms_highway.geometry.curve import rotated
 from ms_highway.recorded.scenario import Points
-from ms_highway.runtime.arrays import Numbers
+from ms_highway.runtime.arrays import Numeric
 
 Read = TypeVar("Read")
 
@@ -117,7 +117,7 @@ def outlines_at(element: Element, path: str = "shape/*") -> list[Points]:
     return outlines
 
 
-def turned_left(vectors: Points, angle: Numbers) -> Points:
+def turned_left(vectors: Points, angle: Numeric) -> Points:
     """Return vectors turned to the left by an angle, or each by its own [rad]."""
     return np.stack(rotated(vectors[..., 0], vectors[..., 1], -angle), axis=-1)
 

@@ -74,6 +74,7 @@ class AddedRoadDriver:
         # The driver knows a straight road with friction; the robot has a bent one
         # without.
         friction = keep_velocity(game.world, view.states[0])[1]
+        assert view.scene.bend is not None
         control = np.array(
             [answer.control[0] + view.scene.bend, answer.control[1] - friction]
         )

@@ -176,7 +176,14 @@ class RoadDriver:
         last = no_plan(self.planning)
         memory = first_memory(self.rule, TRAFFIC)
         nothing_left = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
-        outcome = Outcome(scene, scene, last.controls[0], None, None, nothing_left.plan)
+        outcome = Outcome(
+            scene,
+            scene,
+            last.controls[0],
+            None,  # type: ignore[arg-type] # no rule of roads looks at
+            None,  # type: ignore[arg-type] # the humans' controls and the reward
+            nothing_left.plan,
+        )
         return Carry(memory, outcome, None, nothing_left)
 
     def _record(self, result: StepResult, compile_seconds: float) -> RoadStep:

@@ -21,7 +21,7 @@ from ms_highway.perception.scene import EachCar, EachFlag, PlanLanes, Plans
 from ms_highway.road.simulation import SimulatedPlans
 from ms_highway.road.stopping_room import STOPPING_ROOM
 from ms_highway.road.traffic import COSINES, STANDING_SPEED, Situation, lane_of
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Array, Scalar
 
 Table = Float[jax.Array, "lanes places speeds"]
 TableInTime = Float[jax.Array, "seconds lanes places speeds"]
@@ -257,7 +257,7 @@ def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
 
 
 def _speed_loss(
-    situation: Situation, places: Float[jax.Array, "places"], speed_step: Scalar
+    situation: Situation, places: Float[Array, "places"], speed_step: Scalar
 ) -> Float[jax.Array, "places speeds"]:
     """Return how far each speed is below the highest at each place [steps of speed]."""
     fastest = situation.planning.desired_speed
@@ -269,7 +269,7 @@ def _speed_loss(
 def _blocked_cost(
     situation: Situation,
     simulated: SimulatedPlans,
-    places: Float[jax.Array, "places"],
+    places: Float[Array, "places"],
     speed_step: Scalar,
 ) -> TableInTime:
     """Return the cost of being in the way of others, or where there is no lane, in each
@@ -300,7 +300,7 @@ def _blocked_cost(
 def _lanes_exist(
     situation: Situation,
     centres: Float[jax.Array, "lanes"],
-    places: Float[jax.Array, "places"],
+    places: Float[Array, "places"],
 ) -> Bool[jax.Array, "lanes places"]:
     """Return where each lane is within the edges of the road; the robot's own lane
     always is.
@@ -317,7 +317,7 @@ def _next_car(
     situation: Situation,
     simulated: SimulatedPlans,
     centres: Float[jax.Array, "lanes"],
-    places: Float[jax.Array, "places"],
+    places: Float[Array, "places"],
 ) -> NextCar:
     """Return the nearest car in each lane from each place, in each second after the
     plan.
@@ -355,7 +355,7 @@ def _next_car(
 def _traffic_after(
     situation: Situation,
     simulated: SimulatedPlans,
-    centres: Float[jax.Array, "plans lanes"],
+    centres: Float[Array, "plans lanes"],
 ) -> LaterTraffic:
     """Return where others are after each plan, and in which lanes.
 

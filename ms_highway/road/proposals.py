@@ -37,7 +37,7 @@ class Profiles(NamedTuple):
     yield_time: Plans = 0.0
     side: PlanLanes = 0
     is_given: PlanFlags = False
-    controls: ManyControls = 0.0
+    controls: ManyControls | float = 0.0
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Knots, interpolate
 from ms_highway.perception.scene import RoadScene, States
-from ms_highway.runtime.arrays import Numbers
+from ms_highway.runtime.arrays import Numbers, Numeric
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ SHARP_BENDS = SharpBends()
 
 
 def lateral_position(
-    scene: RoadScene, states: States, ahead: Numbers, right: Numbers = 0.0
+    scene: RoadScene, states: States, ahead: Numeric, right: Numeric = 0.0
 ) -> Numbers:
     """Return the lateral position of a point of the robot's body, on a road that bends
     away below the body [m].

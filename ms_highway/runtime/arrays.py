@@ -17,34 +17,36 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float, Int
 
-Array: TypeAlias = Any
-SameArray = TypeVar("SameArray", jax.Array, np.ndarray)
+Array: TypeAlias = jax.Array | np.ndarray
+SameArray = TypeVar("SameArray", jax.Array, np.ndarray, jax.Array | np.ndarray)
 """An array of either kind, returned in the same kind."""
 
-Scalar: TypeAlias = Float[Any, ""]
-Index: TypeAlias = Int[Any, ""]
-Flag: TypeAlias = Bool[Any, ""]
-Vector: TypeAlias = Float[Any, "n"]
-Matrix: TypeAlias = Float[Any, "n n"]
-Numbers: TypeAlias = Float[Any, "*shape"]
+Scalar: TypeAlias = Float[Array, ""] | np.floating | float
+Index: TypeAlias = Int[Array, ""] | np.integer | int
+Flag: TypeAlias = Bool[Array, ""] | np.bool | bool
+Vector: TypeAlias = Float[Array, "n"]
+Matrix: TypeAlias = Float[jax.Array, "n n"]
+Numbers: TypeAlias = Float[Array, "*shape"]
+Numeric: TypeAlias = Float[Array, "*shape"] | np.floating | float
+"""An array of numbers, or a single number."""
 
-Control: TypeAlias = Float[Any, "2"]
-Controls: TypeAlias = Float[Any, "steps 2"]
-ManyControls: TypeAlias = Float[Any, "*batch steps 2"]
-Trajectory: TypeAlias = Float[Any, "fields steps"]
+Control: TypeAlias = Float[Array, "2"]
+Controls: TypeAlias = Float[Array, "steps 2"]
+ManyControls: TypeAlias = Float[Array, "*batch steps 2"]
+Trajectory: TypeAlias = Float[jax.Array, "fields steps"]
 """Motion of one car over the steps of a plan, the fields of its
 `ms_highway.game.dynamics.Motion` stacked.
 """
 
-Car: TypeAlias = Float[Any, "4"]  # x, y [m], heading [rad], speed [m/s]
-State: TypeAlias = Float[Any, "cars 4"]  # robot, humans, scripted cars
-HumansControl: TypeAlias = Float[Any, "humans 2"]  # omega, acceleration
-HumansControls: TypeAlias = Float[Any, "humans steps 2"]
-Trajectories: TypeAlias = Float[Any, "cars fields steps"]
-Times: TypeAlias = Float[Any, "*times"]
+Car: TypeAlias = Float[Array, "4"]  # x, y [m], heading [rad], speed [m/s]
+State: TypeAlias = Float[Array, "cars 4"]  # robot, humans, scripted cars
+HumansControl: TypeAlias = Float[Array, "humans 2"]  # omega, acceleration
+HumansControls: TypeAlias = Float[Array, "humans steps 2"]
+Trajectories: TypeAlias = Float[jax.Array, "cars fields steps"]
+Times: TypeAlias = Float[Array, "*times"]
 
-Weights: TypeAlias = Float[Any, "features"]
-HumansWeights: TypeAlias = Float[Any, "humans features"]
+Weights: TypeAlias = Float[Array, "features"]
+HumansWeights: TypeAlias = Float[Array, "humans features"]
 
 # A place on the ladder of the robot is not a place in a table of all models.
 RungIndex = NewType("RungIndex", int)
@@ -55,15 +57,15 @@ ModelIndex = NewType("ModelIndex", int)
 or `ms_highway.road.traffic_models.TRAFFIC_MODELS`, whatever the ladder in use.
 """
 
-Rungs: TypeAlias = Int[Any, "humans"]
+Rungs: TypeAlias = Int[Array, "humans"]
 """`RungIndex` of every human's model."""
 
-ModelNumbers: TypeAlias = Int[Any, "humans"]
+ModelNumbers: TypeAlias = Int[Array, "humans"]
 """`ModelIndex` of every human's model."""
 
-Gains: TypeAlias = Float[Any, "humans rungs"]
-Belief: TypeAlias = Float[Any, "humans models"]
-PerHuman: TypeAlias = Float[Any, "humans"]
+Gains: TypeAlias = Float[Array, "humans rungs"]
+Belief: TypeAlias = Float[Array, "humans models"]
+PerHuman: TypeAlias = Float[Array, "humans"]
 
 
 def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
@@ -87,7 +89,7 @@ def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
 
 
 def for_each(
-    chosen: Bool[Any, "n"], function: Callable[[Index, Any], Any], start: Any
+    chosen: Bool[Array, "n"], function: Callable[[Index, Any], Any], start: Any
 ) -> Any:
     """Loop over the chosen rows, one round for each, so that the time is proportional
     to their number.

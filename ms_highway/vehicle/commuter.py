@@ -162,7 +162,8 @@ class CommuterVehicle(FollowingVehicle):
             return np.inf
         beside = (start, end, number + int(np.sign(route_number - number)))
         ahead, _ = self.road.neighbour_vehicles(self, beside)
-        return max(self.acceleration(self, ahead), -COMMUTER_IDM.comfortable_braking)
+        slowest = -float(COMMUTER_IDM.comfortable_braking)
+        return max(self.acceleration(self, ahead), slowest)
 
     def mobil(self, lane_index: LaneIndex) -> bool:
         """Return whether to change to a lane.
@@ -220,7 +221,7 @@ class CommuterVehicle(FollowingVehicle):
         """
         learned = super().preferred_acceleration(speed, target_speed, gap, leader_speed)
         idm = replace(COMMUTER_IDM, headway=float(self.traits.headway))
-        starting = idm.acceleration(speed, target_speed, gap, leader_speed)
+        starting = float(idm.acceleration(speed, target_speed, gap, leader_speed))
         return max(learned, starting)
 
 

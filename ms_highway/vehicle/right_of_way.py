@@ -248,7 +248,7 @@ def _approach(
 
     front = way.place + way.vehicle.LENGTH / 2
     distance = max(WAYS.spacing * points[0] - front, 0.0)
-    rank = (float(lane.shape.priority or 0), not way.enters_before(points[0]))
+    rank = (float(lane.shape.priority or 0), not way.enters_before(int(points[0])))
     return Approach(way.vehicle, float(distance), float(length), rank, order)
 
 
