@@ -19,7 +19,6 @@ from ms_highway.game.game import Game
 from ms_highway.game.reward import weight_names
 from ms_highway.game.scenario import (
     COMMON_WEIGHTS,
-    HUMANS,
     Scenario,
     Semantics,
     build_game,
@@ -291,7 +290,7 @@ class Settings(Struct, frozen=True):
         Raises:
             ValueError: for an impossible number of humans.
         """
-        fewest, most = HUMANS if scenario.streams else (1, 1)
+        fewest, most = scenario.humans_with_streams if scenario.streams else (1, 1)
         if not fewest <= self.humans <= most:
             remedy = (
                 f"{scenario.name} has one human; leave it out, or take a scenario of"

@@ -1,5 +1,4 @@
-"""Define scenarios (geometry, rewards, starts, noise) with one human or several, and
-build their games.
+"""Define scenarios with one human or several, and build their games.
 
 The numbers of a `Scenario` and of drawn starts are in SI units. Games are built in any
 unit of length, such as that of the paper, 100/3 m, in which the released code computes.
@@ -7,7 +6,7 @@ unit of length, such as that of the paper, 100/3 m, in which the released code c
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal, TypeAlias
+from typing import ClassVar, Literal, TypeAlias
 
 import jax
 import numpy as np
@@ -32,32 +31,36 @@ from ms_highway.runtime.arrays import Published, Scalar, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
-LANE_WIDTH = 0.1 * PAPER_UNIT  # m
-SPEED_LIMIT = 0.6 * PAPER_UNIT  # m/s: 20
-TIME_STEP = 0.1  # s
-PAPER_FRICTION = 0.2  # 1/s; the paper gives no value of alpha
-RELEASED_DRAG = (
-    0.2 / PAPER_UNIT
-)  # 1/m, in the world only: the released planners neglect it
+LANE_WIDTH = 0.1 * PAPER_UNIT
+"""Width of a lane in the paper's scenes [m]: 3.3."""
 
-PAPER_DYNAMICS = Dynamics("curvature", "linear", PAPER_FRICTION, TIME_STEP)
-"""The paper's dynamics with friction, Sec. IV-A, in any unit of length."""
+SPEED_LIMIT = 0.6 * PAPER_UNIT
+"""The paper's speed limit [m/s]: 20."""
 
-PHYSICAL_LIMIT = (0.2, 50.0)  # 1/m and m/s^2
-"""Default bounds on plans: the curvature of a front wheel turned by 45 degrees, and
-five times the grip of tyres.
+TIME_STEP = 0.1
+"""The paper's time step [s]."""
 
+PAPER_DYNAMICS = Dynamics("curvature", "linear", drag=0.2, time_step=TIME_STEP)
+"""The paper's dynamics with friction, Sec. IV-A, in any unit of length.
+
+The paper gives no value of alpha; the drag of 0.2 1/s is that of the released code.
+"""
+
+PHYSICAL_LIMIT = (0.2, 50.0)
+"""Default bounds on the curvature and the acceleration of plans [1/m, m/s^2].
+
+They are those of a front wheel turned by 45 degrees, and five times what tyres hold.
 The paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half
 a second sees a cone only 10 m ahead, so that gradient plans in Stay Back need 50 m/s^2,
 and the human in Merger yields with up to 21 m/s^2.
 """
 
-GRIP = 8.0  # m/s^2
-"""Grip of tyres on a dry road, steering and acceleration together.
+GRIP = 8.0
+"""Grip of tyres on a dry road, steering and acceleration together [m/s^2].
 
-It limits the first control of every plan and all executed controls, in the paper's
-scenes only on request. Later controls of a plan may exceed it by a quarter
-(`ms_highway.game.game.bounded`).
+It limits the first control of every plan and all executed controls. Later controls of a
+plan may exceed it by a quarter (`ms_highway.game.game.bounded`). Version 0 has no limit
+of grip unless ``grip`` is set.
 """
 
 COMMON_WEIGHTS = Published(
@@ -70,14 +73,6 @@ COMMON_WEIGHTS = Published(
     }
 )
 """Weights that every driver of every scenario has."""
-
-SECONDS_LIMIT = (0.2, 8.0)  # 1/m and m/s^2
-"""Bounds on plans for seconds, with `GRIP`: what tyres hold on a dry road."""
-
-MAX_LANE_DISTANCE = 6.0  # m
-
-HUMANS = 2, 20
-"""The fewest and the most humans of a scenario with streams."""
 
 
 @dataclass(frozen=True)
@@ -97,8 +92,9 @@ class Stream:
 
 @dataclass(frozen=True)
 class Scenario:
-    """A situation of a robot with one human, or with several that are drawn for every
-    episode.
+    """A situation of a robot with one human, or with several.
+
+    Several humans are drawn for every episode.
 
     Attributes:
         name: in commands and records.
@@ -133,6 +129,13 @@ class Scenario:
             metres, and for several humans without streams.
     """
 
+    max_lane_distance: ClassVar[float] = 6.0
+    """Largest distance between neighbouring lanes, and of a start from a lane [m]."""
+    humans_with_streams: ClassVar[tuple[int, int]] = (2, 20)
+    """The fewest and the most humans of a scenario with streams."""
+    units: ClassVar[str] = "all numbers are in metres, y to the right"
+    """What errors remind of."""
+
     name: str
     lanes: tuple[float, ...]
     cars: tuple[tuple[float, ...], ...]
@@ -158,9 +161,7 @@ class Scenario:
     way_out: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse lanes in which two cars overlap, lanes that are far from each other,
-        and cars off all lanes.
-        """
+        """Make the weights unchangeable, and check all that is known by now."""
         for name in ("robot_weights", "human_weights"):
             weights = getattr(self, name)
             if not isinstance(weights, Mapping):
@@ -169,9 +170,23 @@ class Scenario:
                     " name of a feature"
                 )
             object.__setattr__(self, name, Published(weights))
-        place = f"scenario {self.name!r}"
-        remedy = "all numbers are in metres, y to the right"
-        fewest, most = HUMANS if self.streams else (1, 1)
+        self._check_humans()
+        self._check_lanes()
+        for stream in self.streams:
+            self._check_stream(stream)
+        for car in self.cars:
+            self._check_point("a car", car, (2, 3))
+        for cone in self.cones:
+            self._check_point("a cone", cone, (2,))
+
+    @property
+    def _place(self) -> str:
+        """Where an error is, for its message."""
+        return f"scenario {self.name!r}"
+
+    def _check_humans(self) -> None:
+        """Refuse a number of humans that there cannot be."""
+        fewest, most = self.humans_with_streams if self.streams else (1, 1)
         if not fewest <= self.humans <= most:
             why = (
                 "streams say where several humans drive, and without streams there"
@@ -180,91 +195,98 @@ class Scenario:
             if self.streams:
                 why = f"give {fewest} to {most}"
             raise ValueError(
-                f"{place} has humans={self.humans} and {len(self.streams)} streams;"
-                f" {why}"
+                f"{self._place} has humans={self.humans} and {len(self.streams)}"
+                f" streams; {why}"
             )
-        lanes = np.sort(np.asarray(self.lanes, float).ravel())
-        apart = np.diff(lanes)
-        if (
-            not len(lanes)
-            or not np.isfinite(lanes).all()
-            or np.any((apart < CAR_SIZE[1]) | (apart > MAX_LANE_DISTANCE))
-        ):
-            found = (
-                f"lanes at {self.lanes}; neighbours must be {CAR_SIZE[1]:g} to"
-                f" {MAX_LANE_DISTANCE:g} m apart"
-            )
-            raise ValueError(f"{place} has {found}, and {remedy}")
         if not 0 <= self.careless <= 1:
             raise ValueError(
-                f"{place} has careless {self.careless}; give a share from 0 to 1"
+                f"{self._place} has careless {self.careless}; give a share from 0 to 1"
             )
-        for stream in self.streams:
-            if (
-                not CAR_SIZE[0] < min(stream.spacing)
-                or stream.spacing[0] > stream.spacing[1]
-            ):
-                wanted = f"the shortest, more than {CAR_SIZE[0]:g} m, then the longest"
-                raise ValueError(
-                    f"{place} has a stream of spacing {stream.spacing}; give {wanted}"
-                )
-        for kind, points in (("a car", self.cars), ("a cone", self.cones)):
-            for point in points:
-                if len(point) not in ((2, 3) if points is self.cars else (2,)):
-                    raise ValueError(
-                        f"{place} has {kind} at {point}; give x and y, and {remedy}"
-                    )
-                if (
-                    not np.isfinite(point).all()
-                    or np.min(np.abs(lanes - point[1])) > MAX_LANE_DISTANCE
-                ):
-                    raise ValueError(
-                        f"{place} has {kind} at {point}, beside all lanes, at"
-                        f" {self.lanes}; {remedy}"
-                    )
+
+    def _check_lanes(self) -> None:
+        """Refuse lanes in which two cars overlap, or that are far from each other."""
+        lanes = np.sort(np.asarray(self.lanes, float).ravel())
+        apart = np.diff(lanes)
+        narrow = apart < CAR_SIZE[1]
+        wide = apart > self.max_lane_distance
+        if not len(lanes) or not np.isfinite(lanes).all() or np.any(narrow | wide):
+            raise ValueError(
+                f"{self._place} has lanes at {self.lanes}; neighbours must be"
+                f" {CAR_SIZE[1]:g} to {self.max_lane_distance:g} m apart, and"
+                f" {self.units}"
+            )
+
+    def _check_stream(self, stream: Stream) -> None:
+        """Refuse spacings in which cars overlap, or that are not in order."""
+        shortest, longest = stream.spacing
+        if not CAR_SIZE[0] < min(stream.spacing) or shortest > longest:
+            wanted = f"the shortest, more than {CAR_SIZE[0]:g} m, then the longest"
+            raise ValueError(
+                f"{self._place} has a stream of spacing {stream.spacing}; give {wanted}"
+            )
+
+    def _check_point(
+        self, kind: str, point: tuple[float, ...], lengths: tuple[int, ...]
+    ) -> None:
+        """Refuse a point that has other numbers than x and y, or is off all lanes.
+
+        Args:
+            kind: what is there.
+            point: x and y [m], of a car perhaps a third number.
+            lengths: how many numbers it may have.
+        """
+        if len(point) not in lengths:
+            raise ValueError(
+                f"{self._place} has {kind} at {point}; give x and y, and {self.units}"
+            )
+        from_lanes = np.abs(np.asarray(self.lanes, float).ravel() - point[1])
+        if not np.isfinite(point).all() or np.min(from_lanes) > self.max_lane_distance:
+            raise ValueError(
+                f"{self._place} has {kind} at {point}, beside all lanes, at"
+                f" {self.lanes}; {self.units}"
+            )
 
     def check(self) -> None:
-        """Check what an environment needs, and what may be registered only after the
-        scenario is made.
+        """Check what an environment needs, and what may be registered only later.
 
         Raises:
             ValueError: naming the scenario, the value and a remedy.
         """
-        place = f"scenario {self.name!r}"
-        whole = isinstance(self.steps, int)
         if not self.streams and len(self.cars) < 2:
             remedy = (
                 "give the starts of the robot and of the human, or streams of humans"
             )
             raise ValueError(
-                f"{place} has no human, as its cars are {self.cars}; {remedy}"
+                f"{self._place} has no human, as its cars are {self.cars}; {remedy}"
             )
-        if not whole or self.steps < 1:
+        if not isinstance(self.steps, int) or self.steps < 1:
             raise ValueError(
-                f"{place} has steps={self.steps!r}; give a whole number of steps, 1 or"
+                f"{self._place} has steps={self.steps!r}; give a whole number of steps,"
+                " 1 or more"
+            )
+        finite = all(0 <= price < np.inf for price in self.prices)
+        if len(self.prices) != 2 or not finite:
+            raise ValueError(
+                f"{self._place} has the prices {self.prices!r}; give two lambdas, 0 or"
                 " more"
             )
-        if len(self.prices) != 2 or not all(
-            0 <= price < np.inf for price in self.prices
-        ):
+        places = range(len(self.cars))
+        if self.merging_car is not None and self.merging_car not in places:
             raise ValueError(
-                f"{place} has the prices {self.prices!r}; give two lambdas, 0 or more"
+                f"{self._place} has merging_car={self.merging_car!r}; give the place of"
+                f" one of its {len(self.cars)} cars, or None"
             )
-        if self.merging_car is not None and self.merging_car not in range(
-            len(self.cars)
-        ):
-            remedy = f"give the place of one of its {len(self.cars)} cars, or None"
-            raise ValueError(f"{place} has merging_car={self.merging_car!r}; {remedy}")
         for name in ("robot_weights", "human_weights"):
             try:
                 linear_reward(getattr(self, name), SPEED_LIMIT)
             except ValueError as error:
-                raise ValueError(f"{place}, {name}: {error}") from None
+                raise ValueError(f"{self._place}, {name}: {error}") from None
 
 
 def title(name: str) -> str:
-    """Return the title of a scenario's name: ``Stay Back`` for ``stay_back``, ``Stay
-    Back v1`` for ``stay-back-v1``.
+    """Return the title of a scenario's name.
+
+    It is ``Stay Back`` for ``stay_back``, ``Stay Back v1`` for ``stay-back-v1``.
     """
     words = name.replace("_", " ").replace("-", " ").split()
     return " ".join(word if word[1:].isdigit() else word.title() for word in words)
@@ -281,8 +303,9 @@ def build_game(
     planning: PlanningSettings | None = None,
     humans: int | None = None,
 ) -> Game:
-    """Build the game of a scenario, in which all humans have the same reward; its
-    arrays cannot be written.
+    """Build the game of a scenario, in which all humans have the same reward.
+
+    Its arrays cannot be written.
 
     Args:
         scenario: to build.
@@ -306,19 +329,62 @@ def build_game(
             and world; None for the scenario's.
         humans: their number; None for the scenario's.
     """
-    human_weights = dict(scenario.human_weights)
+    # Rewards and road, in the game's unit of length.
+    human_weights = _human_weights(scenario, human_driving)
+    names = features_for(scenario.robot_weights, human_weights)
+    metre = unit / PAPER_UNIT
+    speed_limit = SPEED_LIMIT * metre
+    robot = linear_reward(
+        scenario.robot_weights, speed_limit, scenario.robot_gap * metre, names
+    )
+    human = linear_reward(human_weights, speed_limit, scenario.human_gap * metre, names)
+    scene = _scene(scenario, semantics, unit)
+
+    # Dynamics: the released planners neglect the world's drag, 0.2 per paper unit.
+    planning = planning or scenario.planning
+    if semantics == "released":
+        drag = 0.2 / PAPER_UNIT / metre
+        plans = Dynamics("yaw_rate", "linear", 0.0, planning.time_step)
+        world = Dynamics("yaw_rate", "quadratic", drag, planning.time_step)
+    else:
+        plans = world = replace(PAPER_DYNAMICS, time_step=planning.time_step)
+
+    # Solver and limits of plans.
+    if semantics == "physical" and grip is None:
+        grip = GRIP * metre
+    name = solver or scenario.solver
+    improves = _solver(name, planning, continues=bool(scenario.streams), ease=EASE)
+    planner = _planner(scene, plans, control_limit, grip, improves, planning.horizon)
+
+    rewards = _humans(human, humans or scenario.humans)
+    influence: Influence = "exact" if semantics == "released" else "damped"
+    game = Game(scene, robot, rewards, plans, world, planner, influence)
+    return read_only(
+        jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
+    )
+
+
+def _human_weights(
+    scenario: Scenario, human_driving: Mapping[str, float] | None
+) -> dict[str, float]:
+    """Return the weights of the humans' reward, see `build_game`."""
+    weights = dict(scenario.human_weights)
     if human_driving is not None:
         aims = {
             name: weight
-            for name, weight in human_weights.items()
+            for name, weight in weights.items()
             if name not in COMMON_WEIGHTS
         }
-        human_weights = {**aims, **human_driving}
-    human_weights["collision_risk"] = scenario.caution * human_weights.get(
-        "collision_risk", 0.0
-    )
+        weights = {**aims, **human_driving}
+    risk = weights.get("collision_risk", 0.0)
+    weights["collision_risk"] = scenario.caution * risk
+    return weights
+
+
+def _scene(scenario: Scenario, semantics: Semantics, unit: float) -> Scene:
+    """Return the road of a scenario in a unit of length, see `build_game`."""
     metre = unit / PAPER_UNIT
-    scene = Scene(
+    return Scene(
         lanes=np.array(scenario.lanes) * metre,
         lane_width=LANE_WIDTH * metre,
         obstacles=np.array(scenario.cones).reshape(-1, 2) * metre,
@@ -329,40 +395,6 @@ def build_game(
         length_unit=unit,
         leader=2 if len(scenario.cars) > 2 else None,
         contact="bodies" if semantics == "physical" else "paper",
-    )
-    names = features_for(scenario.robot_weights, human_weights)
-    robot = linear_reward(
-        scenario.robot_weights, SPEED_LIMIT * metre, scenario.robot_gap * metre, names
-    )
-    human = linear_reward(
-        human_weights, SPEED_LIMIT * metre, scenario.human_gap * metre, names
-    )
-    planning = planning or scenario.planning
-    if semantics == "released":
-        plans = Dynamics("yaw_rate", "linear", 0.0, planning.time_step)
-        world = Dynamics(
-            "yaw_rate", "quadratic", RELEASED_DRAG / metre, planning.time_step
-        )
-    else:
-        plans = world = replace(PAPER_DYNAMICS, time_step=planning.time_step)
-    if semantics == "physical" and grip is None:
-        grip = GRIP * metre
-    improves = _solver(
-        solver or scenario.solver, planning, bool(scenario.streams), EASE
-    )
-    planner = _planner(scene, plans, control_limit, grip, improves, planning.horizon)
-    influence: Influence = "exact" if semantics == "released" else "damped"
-    game = Game(
-        scene,
-        robot,
-        _humans(human, humans or scenario.humans),
-        plans,
-        world,
-        planner,
-        influence,
-    )
-    return read_only(
-        jax.tree.map(lambda number: np.asarray(number, dtype=np.float32), game)
     )
 
 
@@ -375,11 +407,11 @@ def driving_game(
     planning: PlanningSettings = PAPER_PLANNING,
     grip: float | None = GRIP,
 ) -> Game:
-    """Build a game on any scene in which both cars have the same reward, with the
-    paper's dynamics.
+    """Build a game on any scene, in which both cars have the same reward.
 
-    Its numbers are not converted to arrays: a driver on a road builds a game in every
-    step, and the conversion would take longer than the plan.
+    It has the paper's dynamics. Its numbers are not converted to arrays: a driver on a
+    road builds a game in every step, and the conversion would take longer than the
+    plan.
 
     Args:
         scene: road, obstacles and bodies.
@@ -420,12 +452,12 @@ def _planner(
     solver: Solver,
     horizon: int,
 ) -> Planner:
-    """Return a planner with the control scale in which a gradient step of 0.03 has the
-    paper's effect.
+    """Return a planner with a scale of controls for gradient steps.
 
-    The unit of acceleration is one length unit per s^2, that of omega one rad/s of yaw
-    rate. With steering by curvature, it is converted at the paper's speed limit,
-    ``omega = yaw_rate / v``: omega's gradient step scales with 1/v^2.
+    In this scale, a step of 0.03 has the paper's effect. The unit of acceleration is
+    one length unit per s^2, that of omega one rad/s of yaw rate. With steering by
+    curvature, it is converted at the paper's speed limit, ``omega = yaw_rate / v``:
+    omega's gradient step scales with 1/v^2.
     """
     turn_scale: Scalar = 1.0
     if dynamics.steering == "curvature":

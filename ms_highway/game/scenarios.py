@@ -12,7 +12,7 @@ from typing import Any
 from ms_highway.game.scenario import (
     COMMON_WEIGHTS,
     GRIP,
-    SECONDS_LIMIT,
+    PHYSICAL_LIMIT,
     SPEED_LIMIT,
     Scenario,
     Stream,
@@ -40,8 +40,8 @@ STAY_BACK = Scenario(
         (-0.25 * UNIT, 0.04 * UNIT),
     ),
 )
-"""The robot on the left and the human on the right approach cones that only one car at a
-time can pass.
+"""The robot on the left and the human on the right approach cones that only one car at
+a time can pass.
 """
 
 MERGER = Scenario(
@@ -86,16 +86,15 @@ GIVE_WAY = Scenario(
     merging_car=1,
     corner=0.675 / sqrt(2),
 )
-"""The robot drives in the left lane between two scripted cars; the human beside it wants
-to merge.
+"""The robot drives in the left lane between two scripted cars; the human beside it
+wants to merge.
 
 The robot is paid for letting the human in.
 """
 
 
 def _physical(scenario: Scenario, horizon: int, **changes: Any) -> Scenario:
-    """Return version 1 of a scenario, in which robot and humans plan and drive within
-    the grip of tyres.
+    """Return version 1 of a scenario: all plan and drive within the grip of tyres.
 
     Args:
         scenario: version 0.
@@ -121,12 +120,13 @@ STAY_BACK_V1 = _physical(
     cars=((-1.24 * UNIT, -0.14 * UNIT), (-1.05 * UNIT, 0.0, 0.045 * UNIT)),
     steps=60,
 )
-"""Stay Back within what tyres hold: plans last two seconds, and the human starts ahead of
-the robot.
+"""Stay Back within what tyres hold: plans last two seconds, and the human starts ahead
+of the robot.
 
 The robot starts 32 m before the cones. The human starts 6.3 m ahead of it and drives
-1.5 m/s faster. Within the grip of tyres, one car has to slow down in time for the other one. Nearer
-starts leave no room for that. From 1.3 m farther back, all models earn the same.
+1.5 m/s faster. Within the grip of tyres, one car has to slow down in time for the other
+one. Nearer starts leave no room for that. From 1.3 m farther back, all models earn the
+same.
 
 The human's start lies between starts of 6.0 to 6.5 m ahead, from which naive plans
 collide in most of 32 or 48 episodes (seeds 1000 and up) and those under turn in none.
@@ -141,7 +141,7 @@ GIVE_WAY_V1 = _physical(GIVE_WAY, 10)
 
 
 def _lane_end(first_cone: float) -> tuple[tuple[float, float], ...]:
-    """Return the cones that end the robot's lane, from a first x in the paper's unit."""
+    """Return the cones that end the robot's lane, from a first x [paper units]."""
     return tuple(
         ((first_cone + 0.09 * place) * UNIT, 0.02 * UNIT) for place in range(3)
     )
@@ -154,9 +154,12 @@ def _merge_among_several(
     first_cone: float,
     streams: tuple[Stream, ...],
 ) -> Scenario:
-    """Return a scenario in which the robot's lane ends; plans look two seconds ahead,
-    as merging takes long.
+    """Return a scenario in which the robot's lane ends.
+
+    Plans look two seconds ahead, as merging takes long, within what tyres hold on a dry
+    road.
     """
+    sharpest, _ = PHYSICAL_LIMIT
     return Scenario(
         name=name,
         lanes=lanes,
@@ -172,7 +175,7 @@ def _merge_among_several(
         caution=0.3,
         planning=PlanningSettings(horizon=20),
         solver="convex_newton",
-        control_limit=SECONDS_LIMIT,
+        control_limit=(sharpest, GRIP),
         grip=GRIP,
         way_out=True,
     )
@@ -196,57 +199,55 @@ CROSSING_CROWD = _merge_among_several(
 """The robot crosses one stream of humans to join another, so that other humans matter
 early and late.
 
-Its own lane ends, and it wants into the left lane. At first, the humans in the middle lane matter: the robot has to get between them before
-the cones. Later, those in the left lane do; they drive faster, so that the robot meets
-others there than its neighbours at the start.
+Its own lane ends, and it wants into the left lane. At first, the humans in the middle
+lane matter: the robot has to get between them before the cones. Later, those in the
+left lane do; they drive faster, so that the robot meets others there than its
+neighbours at the start.
 """
 
-SEVERAL_V1: dict[str, Any] = {
-    "ladder": ("naive", "tom"),
-    "robot_weights": {**DENSE_MERGE.robot_weights, "collision_risk": -4},
-    "caution": 1.0,
-    "careless": 0.0,
-}
-"""Settings of version 1 of all scenes with several humans.
 
-All humans yield to a car that merges. The robot is careful: it enters only gaps that it
-expects to open.
-"""
+def _several_v1(
+    scenario: Scenario, first_cone: float, spacing: tuple[float, float]
+) -> Scenario:
+    """Return version 1 of a scenario with several humans, of six seconds.
 
-CLOSE_SPACING = 7.0, 13.0  # m, spacing in the stream of Dense Merge v1
-CLOSER_SPACING = 6.5, 12.5  # m, spacing in the streams of Crossing Crowd v1
+    All humans yield to a car that merges. The robot is careful: it enters only gaps
+    that it expects to open.
 
-DENSE_MERGE_V1 = _physical(
-    DENSE_MERGE,
-    10,
-    steps=60,
-    cones=_lane_end(2.5),
-    streams=(Stream(-0.1 * UNIT, spacing=CLOSE_SPACING),),
-    **SEVERAL_V1,
-)
+    Args:
+        scenario: version 0.
+        first_cone: x of the first cone, in the paper's unit.
+        spacing: in all streams, shortest and longest [m].
+    """
+    return _physical(
+        scenario,
+        10,
+        ladder=("naive", "tom"),
+        robot_weights={**scenario.robot_weights, "collision_risk": -4},
+        caution=1.0,
+        careless=0.0,
+        steps=60,
+        cones=_lane_end(first_cone),
+        streams=tuple(replace(stream, spacing=spacing) for stream in scenario.streams),
+    )
+
+
+DENSE_MERGE_V1 = _several_v1(DENSE_MERGE, 2.5, (7.0, 13.0))
 """A careful robot merges into a dense stream of yielding humans; plans last a second,
 within tyre grip.
 
-The stream is denser than in version 0, and the cones are farther away. Spacing and speed were chosen so that naive plans succeed in less than half of the
-episodes, and theory of mind in nearly all.
+The stream is denser than in version 0, and the cones are farther away. Spacing and
+speed were chosen so that naive plans succeed in less than half of the episodes, and
+theory of mind in nearly all.
 """
 
-CROSSING_CROWD_V1 = _physical(
-    CROSSING_CROWD,
-    10,
-    steps=60,
-    cones=_lane_end(2.75),
-    streams=tuple(
-        replace(stream, spacing=CLOSER_SPACING) for stream in CROSSING_CROWD.streams
-    ),
-    **SEVERAL_V1,
-)
+CROSSING_CROWD_V1 = _several_v1(CROSSING_CROWD, 2.75, (6.5, 12.5))
 """A careful robot crosses a stream of yielding humans and joins another; plans last a
 second, within tyre grip.
 
 Both streams are denser than in version 0, the cones are farther away, and there are six
-seconds to arrive. Spacing, cones and time were chosen so that naive plans fail in a quarter of the
-episodes, and theory of mind in few.
+seconds to arrive. Spacing, cones and time were chosen so that naive plans fail in a
+quarter of the episodes, and theory of mind in few.
 """
 
 PACKAGE_SCENARIOS = {
@@ -264,4 +265,5 @@ PACKAGE_SCENARIOS = {
         CROSSING_CROWD_V1,
     )
 }
-"""The package's scenarios by name: those of `ms_highway.runtime.names.SCENARIO_NAMES`."""
+"""The package's scenarios by name, those of `ms_highway.runtime.names.SCENARIO_NAMES`.
+"""

@@ -8,7 +8,7 @@ import pytest
 
 from ms_highway.data.learned_reward import shipped
 from ms_highway.envs import ENVIRONMENTS, InteractionEnv, add_scenario
-from ms_highway.game.scenario import HUMANS, build_game
+from ms_highway.game.scenario import Scenario, build_game
 from ms_highway.game.scenarios import CROSSING_CROWD, DENSE_MERGE, MERGER
 from ms_highway.game.starts import STREAM_VARIETY, draw_episode
 
@@ -22,7 +22,7 @@ def draws(scenario, humans):
     return [draw_episode(scenario, random, game.humans) for _ in range(EPISODES)]
 
 
-@pytest.mark.parametrize("humans", HUMANS)
+@pytest.mark.parametrize("humans", Scenario.humans_with_streams)
 @pytest.mark.parametrize(
     "scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name
 )
