@@ -10,7 +10,7 @@ from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_weights import RoadWeights
-from ms_highway.road.simulation import advance, bodies
+from ms_highway.road.robot_motion import advance, bodies
 from ms_highway.runtime.compilation import jit_quickly
 
 PLANNING = RoadPlanning()

@@ -63,7 +63,7 @@ class ValueGrid:
         return 2 * self.lanes_beside + 1
 
 
-GRID = ValueGrid()
+VALUE_GRID = ValueGrid()
 
 
 @dataclass(frozen=True)
@@ -158,18 +158,18 @@ def speed_lost(
     """
     scene = situation.scene
     fastest = jnp.asarray(situation.planning.desired_speed, float)
-    speed_step = fastest / (GRID.speeds - 1)
+    speed_step = fastest / (VALUE_GRID.speeds - 1)
     middle = simulated.states[:, -1, 0] + scene.size[0] / 2
     speed = simulated.states[:, -1, 3]
 
     # Look up the place, the speed and the lane of each plan, between the places and
     # speeds of the grid. Lane 1 of a plan, the robot's, is in the middle of the grid.
     values = _values(situation, simulated, speed_step)
-    lane = lanes + GRID.lanes_beside - 1
-    place = jnp.clip(middle / speed_step, 0.0, GRID.places - 1.01)
-    pace = jnp.clip(speed / speed_step, 0.0, GRID.speeds - 1.01)
+    lane = lanes + VALUE_GRID.lanes_beside - 1
+    place = jnp.clip(middle / speed_step, 0.0, VALUE_GRID.places - 1.01)
+    pace = jnp.clip(speed / speed_step, 0.0, VALUE_GRID.speeds - 1.01)
     lost_steps = -map_coordinates(values, [lane, place, pace], order=1)
-    lost = lost_steps * speed_step / GRID.seconds
+    lost = lost_steps * speed_step / VALUE_GRID.seconds
 
     # The speed that each car ahead in the lane allows to a robot that closes up to it.
     lane_centre = lane_of(scene.lanes, lanes, middle)[:, None]
@@ -191,7 +191,7 @@ def _values(
     """Return the value of each lane, place and speed at the end of a plan: minus the
     loss of speed still to come [steps of speed].
     """
-    places = speed_step * jnp.arange(GRID.places)  # [m]
+    places = speed_step * jnp.arange(VALUE_GRID.places)  # [m]
 
     # The loss in each second at each place and speed, and the cost of being in the way
     # of others there.
@@ -220,10 +220,11 @@ def _after_driving(value: Table) -> Table:
     """Return the value of driving on for a second: from place p at speed v, the robot
     reaches place p + v.
     """
-    beyond = ((0, 0), (0, GRID.speeds), (0, 0))
+    beyond = ((0, 0), (0, VALUE_GRID.speeds), (0, 0))
     value = jnp.pad(value, beyond, mode="edge")
     at_speed = [
-        value[:, speed : speed + GRID.places, speed] for speed in range(GRID.speeds)
+        value[:, speed : speed + VALUE_GRID.places, speed]
+        for speed in range(VALUE_GRID.speeds)
     ]
     return jnp.stack(at_speed, axis=-1)
 
@@ -232,11 +233,11 @@ def _after_best_speed_change(value: Table) -> Table:
     """Return the value of each speed if the robot first changes to the best speed
     within its reach.
     """
-    beyond = ((0, 0), (0, 0), (GRID.slowing, GRID.speeding))
+    beyond = ((0, 0), (0, 0), (VALUE_GRID.slowing, VALUE_GRID.speeding))
     value = jnp.pad(value, beyond, constant_values=-jnp.inf)
-    best = value[..., : GRID.speeds]  # slows down as much as possible
-    for change in range(1, GRID.slowing + GRID.speeding + 1):
-        best = jnp.maximum(best, value[..., change : change + GRID.speeds])
+    best = value[..., : VALUE_GRID.speeds]  # slows down as much as possible
+    for change in range(1, VALUE_GRID.slowing + VALUE_GRID.speeding + 1):
+        best = jnp.maximum(best, value[..., change : change + VALUE_GRID.speeds])
     return best
 
 
@@ -248,9 +249,9 @@ def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
         staying: value of each lane for a robot that is there.
         arriving: the same less the cost of being in the way of others there.
     """
-    arriving = arriving - GRID.lane_change
+    arriving = arriving - VALUE_GRID.lane_change
     beyond = ((1, 1), (0, 0), (0, 0))
-    arriving = jnp.pad(arriving, beyond, constant_values=GRID.no_lane)
+    arriving = jnp.pad(arriving, beyond, constant_values=VALUE_GRID.no_lane)
     to_the_left = arriving[:-2]
     to_the_right = arriving[2:]
     return jnp.maximum(staying, jnp.maximum(to_the_left, to_the_right))
@@ -262,7 +263,7 @@ def _speed_loss(
     """Return how far each speed is below the highest at each place [steps of speed]."""
     fastest = situation.planning.desired_speed
     highest = jnp.minimum(interpolate(situation.speed_caps, places), fastest)
-    loss = highest[:, None] / speed_step - jnp.arange(GRID.speeds)
+    loss = highest[:, None] / speed_step - jnp.arange(VALUE_GRID.speeds)
     return jnp.maximum(loss, 0.0)
 
 
@@ -276,7 +277,7 @@ def _blocked_cost(
     second after the plan [steps of speed].
     """
     lane_width = situation.planning.lane_width
-    from_own_lane = jnp.arange(-GRID.lanes_beside, GRID.lanes_beside + 1.0)
+    from_own_lane = jnp.arange(-VALUE_GRID.lanes_beside, VALUE_GRID.lanes_beside + 1.0)
     centres = lane_width * from_own_lane
     lanes_exist = _lanes_exist(situation, centres, places)
     car = _next_car(situation, simulated, centres, places)
@@ -284,7 +285,7 @@ def _blocked_cost(
     # The gap that a robot of speed v needs behind a car of speed u, with u < 0 for an
     # oncoming car:
     #     ahead + reaction_time v + oncoming_time max(-u, 0) + max(v - max(u, 0), 0)^2 / (2 b)
-    speeds = speed_step * jnp.arange(GRID.speeds)
+    speeds = speed_step * jnp.arange(VALUE_GRID.speeds)
     closing_speed = jnp.maximum(speeds - jnp.maximum(car.speed, 0.0), 0.0)
     oncoming = LATER_GAPS.oncoming_time * jnp.maximum(-car.speed, 0.0)
     needed = (
@@ -294,7 +295,7 @@ def _blocked_cost(
         + closing_speed**2 / (2 * LATER_GAPS.braking)
     )
     is_free = (car.gap > needed) & lanes_exist[..., None]
-    return jnp.where(is_free, 0.0, GRID.blocked)
+    return jnp.where(is_free, 0.0, VALUE_GRID.blocked)
 
 
 def _lanes_exist(
@@ -310,7 +311,7 @@ def _lanes_exist(
     exists = (centres[:, None] > left_edge + margin) & (
         centres[:, None] < right_edge - margin
     )
-    return exists.at[GRID.lanes_beside].set(True)
+    return exists.at[VALUE_GRID.lanes_beside].set(True)
 
 
 def _next_car(
@@ -335,7 +336,7 @@ def _next_car(
     in_lane = traffic.in_lane > 0.5
 
     # Distance from each place to each car, [seconds, 1, places, traffic].
-    seconds = jnp.arange(GRID.seconds + 1)
+    seconds = jnp.arange(VALUE_GRID.seconds + 1)
     position = traffic.s + traffic.speed * seconds[:, None]
     distance = position[:, None, None] - places[:, None]
 

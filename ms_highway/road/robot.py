@@ -18,7 +18,7 @@ from ms_highway.perception.observation import observe_road
 from ms_highway.perception.scene import RoadScene
 from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver, RoadStep
-from ms_highway.road.simulation import GRIP_USE
+from ms_highway.road.robot_motion import GRIP_USE
 from ms_highway.road.timed_goal import RobotGoal, TimedGoal
 from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.planning import at_constant_speed
@@ -34,10 +34,10 @@ def steering_of(curvature: float, length: float) -> float:
     With its slip angle beta, ``yaw rate = 2 speed sin(beta) / length`` and ``tan(beta)
     = tan(steering) / 2``.
     """
-    return atan(2 * tan(_slip(curvature, length)))
+    return atan(2 * tan(_slip_angle(curvature, length)))
 
 
-def _slip(curvature: float, length: float) -> float:
+def _slip_angle(curvature: float, length: float) -> float:
     """Return the slip angle of the centre [rad]."""
     largest = GRIP_USE.largest_slip_sine
     return asin(min(max(curvature * length / 2, -largest), largest))
@@ -236,7 +236,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
             "acceleration": acceleration,
         }
         super().step(dt)
-        self._before = along_heading * rect(1.0, _slip(curvature, self.LENGTH))
+        self._before = along_heading * rect(1.0, _slip_angle(curvature, self.LENGTH))
         self._elapsed = self._elapsed + dt
         self.frame = dt
 

@@ -20,8 +20,9 @@ from jax import numpy as jnp
 
 from ms_highway.perception.scene import EachCar, PlanLanes, Plans
 from ms_highway.road.lost_speed import speed_lost
+from ms_highway.road.plan_control import target_of
 from ms_highway.road.proposals import Profiles
-from ms_highway.road.simulation import SimulatedPlans, target_of
+from ms_highway.road.simulation import SimulatedPlans
 from ms_highway.road.stopping_room import missing_room
 from ms_highway.road.traffic import Situation, lane_of
 from ms_highway.runtime.arrays import Numbers

@@ -14,7 +14,7 @@ from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
 from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver
-from ms_highway.road.lost_speed import GRID
+from ms_highway.road.lost_speed import VALUE_GRID
 from ms_highway.road.road_weights import RoadWeights
 
 TIME_MARGIN = 2.0  # s, largest margin to the ends of the interval of time
@@ -121,7 +121,7 @@ class TimedGoal:
         weights = RoadWeights()
         rest = (
             self.times[1] - now - planning.steps * float(planning.time_step)
-        ) / GRID.seconds
+        ) / VALUE_GRID.seconds
         terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
         driver.planning = replace(
             planning, desired_speed=self.desired_speed(vehicle, now)
