@@ -17,14 +17,30 @@ from ms_highway.perception.scene import RoadScene
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle import states_of
 
-TAPER = (80.0, 20.0)  # m before its end, between which a lane merges with its neighbour
-BENDS_SEEN = 60.0  # m ahead
-STRAIGHT = 1e-6  # 1/m, the curvature of a straight road
-# m/s^2, lateral, in bends ahead: less than tyres hold, so that steering is possible
-# while braking
-CORNERING = 6.0
-SLOWING = 3.0  # m/s^2, deceleration before bends
-MIN_SPEED = 3.0  # m/s, in any bend
+
+@dataclass(frozen=True)
+class ViewSettings:
+    """Set how a driver sees ends of lanes and bends."""
+
+    merge_begin: float = 80.0
+    """Distance before the end of a lane from which on it merges with its neighbour [m]."""
+    merge_end: float = 20.0
+    """Distance before the end of a lane at which it has merged [m]."""
+    bends_ahead: float = 60.0
+    """Distance within which a driver sees bends [m]."""
+    least_curvature: float = 1e-6
+    """Curvature of a straight road [1/m]."""
+    cornering: float = 6.0
+    """Lateral acceleration in bends ahead: less than tyres hold, so that steering is
+    possible while braking [m/s^2].
+    """
+    braking: float = 3.0
+    """Deceleration before bends [m/s^2]."""
+    lowest_speed: float = 3.0
+    """Lowest speed in any bend [m/s]."""
+
+
+VIEW = ViewSettings()
 
 
 @dataclass(frozen=True)
@@ -63,8 +79,8 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
     # wanted lane's.
     lanes = interpolate(seen.lanes, own[0])
     wanted = 1 + int(np.sign(seen.changes[1]))
-    first, last = TAPER
-    merged = np.clip((first - seen.room) / (first - last), 0.0, 1.0)
+    merging_length = VIEW.merge_begin - VIEW.merge_end
+    merged = np.clip((VIEW.merge_begin - seen.room) / merging_length, 0.0, 1.0)
     lanes[1] += (lanes[wanted] - lanes[1]) * merged
     lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
 
@@ -86,18 +102,18 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
 
 def _others(seen: RoadScene) -> State:
     """Return the states of others in the coordinates of the route [traffic, 4]."""
-    along, aside, turned, speed = (values[:, None] for values in seen.states.T)
-    x, y, heading = seen.paths.place(along, aside)
-    straight = seen.route.project(x, y, heading + turned)
-    return np.stack([*straight, speed], axis=-1)[:, 0]
+    along, across, relative, speed = (field[:, None] for field in seen.states.T)
+    x, y, path_heading = seen.paths.place(along, across)
+    on_route = seen.route.project(x, y, path_heading + relative)
+    return np.stack([*on_route, speed], axis=-1)[:, 0]
 
 
 def _limit_before_bends(route: Curve, place: float) -> float:
     """Return the highest speed [m/s] from which moderate braking suffices for all bends
     ahead of a place [m].
     """
-    ahead = np.arange(0.0, BENDS_SEEN)
-    bends = np.maximum(np.abs(route.bend(place + ahead)), STRAIGHT)
-    return float(
-        np.sqrt(np.maximum(CORNERING / bends, MIN_SPEED**2) + 2 * SLOWING * ahead).min()
-    )
+    ahead = np.arange(0.0, VIEW.bends_ahead)
+    bends = np.maximum(np.abs(route.bend(place + ahead)), VIEW.least_curvature)
+    squared_in_bend = np.maximum(VIEW.cornering / bends, VIEW.lowest_speed**2)
+    squared_speed = squared_in_bend + 2 * VIEW.braking * ahead
+    return float(np.sqrt(squared_speed).min())

@@ -16,8 +16,7 @@ from ms_highway.game.car_following import HIGHWAY_ENV_IDM
 from ms_highway.road.timed_goal import RobotGoal
 
 DESTINATIONS = {RoundaboutEnv: "nxs", ExitEnv: "exit", UTurnEnv: "d"}
-USUAL_SPEED = 30.0  # m/s
-MERGE_END = 370.0  # m, where merge-v0 ends
+"""Node where the robot drives in environments whose car has no route."""
 
 
 class GoalEnv:
@@ -46,16 +45,13 @@ def destination_of(env: Any, number: int = 0) -> RobotGoal:
         return env.goal
     if isinstance(env, IntersectionEnv):
         route = getattr(env.controlled_vehicles[number], "route", None) or []
-        return (
-            route[-1][1]
-            if len(route) > 1
-            else env.config["destination"]
-            if number == 0
-            else None
-        )
-    return next(
-        (node for kind, node in DESTINATIONS.items() if isinstance(env, kind)), None
-    )
+        if len(route) > 1:
+            return route[-1][1]
+        return env.config["destination"] if number == 0 else None
+    for kind, node in DESTINATIONS.items():
+        if isinstance(env, kind):
+            return node
+    return None
 
 
 def desired_speed_of(env: Any) -> float:
@@ -67,12 +63,13 @@ def desired_speed_of(env: Any) -> float:
     action = config["action"].get("action_config", config["action"])
     if isinstance(env.unwrapped, GoalEnv):
         return env.unwrapped.desired_speed
-    if isinstance(
-        env.unwrapped, IntersectionEnv
-    ):  # 9 m/s are rewarded, but take longer than 13 s
+    if isinstance(env.unwrapped, IntersectionEnv):
+        # 9 m/s are rewarded, but take longer than 13 s.
         return float(env.unwrapped.vehicle.lane.speed_limit)
     speeds = config.get("reward_speed_range") or action.get("target_speeds")
-    speeds = [config.get("speed_limit") or USUAL_SPEED] if speeds is None else speeds
+    if speeds is None:
+        usual_speed = 30.0  # where the scene says nothing
+        speeds = [config.get("speed_limit") or usual_speed]
     return float(max(speeds))
 
 
@@ -98,24 +95,25 @@ def success(env: Any) -> bool | None:
     elif isinstance(env, RoundaboutEnv):
         there = road in (("nx", "nxs"), ("nxs", "nxr"))
     elif isinstance(env, MergeEnv):
-        there = env.vehicle.position[0] > getattr(env, "end_position", MERGE_END)
+        end_of_v0 = 370.0  # m, where the episode ends
+        there = env.vehicle.position[0] > getattr(env, "end_position", end_of_v0)
     else:
         return None
     return bool(there) and not any(vehicle.crashed for vehicle in vehicles)
 
 
-KEPT = (
-    *(
-        "color",
-        "route",
-        "target_speeds",
-        "check_collisions",
-        "collidable",
-        "solid",
-        "MIN_SPEED",
-        "MAX_SPEED",
-    ),
-    *("LENGTH", "WIDTH", "diagonal"),
+COPIED_ATTRIBUTES = (
+    "color",
+    "route",
+    "target_speeds",
+    "check_collisions",
+    "collidable",
+    "solid",
+    "MIN_SPEED",
+    "MAX_SPEED",
+    "LENGTH",
+    "WIDTH",
+    "diagonal",
 )
 """Instance attributes of a vehicle, beside its state, that its replacement keeps."""
 
@@ -142,16 +140,16 @@ def replace_ego(
     new.speed = old.speed
     new.crashed = old.crashed
     new.impact = old.impact
-    for name in vars(old).keys() & KEPT:
+    for name in vars(old).keys() & set(COPIED_ATTRIBUTES):
         setattr(new, name, getattr(old, name))
     if getattr(new, "color", None) is None:
         new.color = VehicleGraphics.EGO_COLOR
     new.on_state_update()
     env.controlled_vehicles[number] = new
     env.road.vehicles[env.road.vehicles.index(old)] = new
-    if isinstance(
-        env.action_type, MultiAgentAction
-    ):  # otherwise, the first controlled vehicle acts and observes
+
+    # With one agent, the first controlled vehicle acts and observes anyway.
+    if isinstance(env.action_type, MultiAgentAction):
         env.action_type.agents_action_types[number].controlled_vehicle = new
     if isinstance(env.observation_type, MultiAgentObservation):
         env.observation_type.agents_observation_types[number].observer_vehicle = new

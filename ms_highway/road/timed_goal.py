@@ -17,16 +17,36 @@ from ms_highway.road.driver import RoadDriver
 from ms_highway.road.lost_speed import VALUE_GRID
 from ms_highway.road.road_weights import RoadWeights
 
-TIME_MARGIN = 2.0  # s, largest margin to the ends of the interval of time
-LOOK_AHEAD = 1.0  # s, after which the speed on the way there is taken
-MAX_SPEED_GAIN = 3.0  # m/s, largest excess of the desired speed over the present one
-SPEED_MARGIN = 0.5  # m/s, largest margin to the ends of the interval of speeds
-# weight of lane changes to the spot, more than that of slow traffic in its lane
-GOAL_WEIGHT = 20.0
-MIN_SPEED = 0.1  # m/s, lowest desired speed
-SOON = 0.1  # s, shortest time to be there
-CLOSE_TIME, CLOSE_GAP = 1.0, 2.0  # s and m, gap below which a follower counts as close
-GENTLE_BRAKING, STOP_MARGIN = 1.5, 1.0  # m/s^2 and m, of braking before the spot
+
+@dataclass(frozen=True)
+class TimedDriving:
+    """Set how a vehicle drives to a spot in time."""
+
+    time_margin: float = 2.0
+    """Largest margin to the ends of the interval of time [s]."""
+    speed_margin: float = 0.5
+    """Largest margin to the ends of the interval of speeds [m/s]."""
+    look_ahead: float = 1.0
+    """Time after which the speed on the way there is taken [s]."""
+    largest_gain: float = 3.0
+    """Largest excess of the desired speed over the present one [m/s]."""
+    lowest_speed: float = 0.1
+    """Lowest desired speed [m/s]."""
+    shortest_time: float = 0.1
+    """Shortest time to be there [s]."""
+    goal_weight: float = 20.0
+    """Weight of lane changes to the spot, more than that of slow traffic in its lane."""
+    follower_headway: float = 1.0
+    """Time gap, besides `follower_gap`, below which a follower is close [s]."""
+    follower_gap: float = 2.0
+    """Gap between standing cars below which a follower is close [m]."""
+    braking: float = 1.5
+    """Gentle deceleration before the spot [m/s^2]."""
+    stop_margin: float = 1.0
+    """Distance before the spot at which gentle braking would end [m]."""
+
+
+TIMED_DRIVING = TimedDriving()
 
 
 @dataclass(frozen=True)
@@ -58,10 +78,11 @@ class TimedGoal:
                 break
             passed += lane.length
         else:  # the spot is behind
-            return self.spot.place - float(
-                roads.lanes[self.spot.lane].shape.local_coordinates(vehicle.position)[0]
-            )
-        return passed - float(own.shape.local_coordinates(vehicle.position)[0])
+            goal_lane = roads.lanes[self.spot.lane].shape
+            place, _ = goal_lane.local_coordinates(vehicle.position)
+            return self.spot.place - float(place)
+        place, _ = own.shape.local_coordinates(vehicle.position)
+        return passed - float(place)
 
     def desired_speed(self, vehicle: Vehicle, now: float) -> float:
         """Return the desired speed of a vehicle on its way to the spot [m/s].
@@ -75,36 +96,57 @@ class TimedGoal:
             vehicle: drives to the spot.
             now: the time [s].
         """
-        left = self.distance(vehicle)
+        distance = self.distance(vehicle)
         speed = float(vehicle.speed)
-        if left <= 0 and now > self.times[0]:
-            return max(speed, MIN_SPEED)
-        within = min(SPEED_MARGIN, (self.speeds[1] - self.speeds[0]) / 2)
-        ends = (
-            self.speeds[1] - within,
-            self.speeds[0] + (within if self.speeds[0] > 0 else 0.0),
+        lowest = TIMED_DRIVING.lowest_speed
+        if distance <= 0 and now > self.times[0]:
+            return max(speed, lowest)
+
+        # The constant acceleration that leads there in time, s = v t + a t^2 / 2, and
+        # the speed that it gives within a second.
+        time = self._time_left(distance, speed, now)
+        acceleration = 2 * (distance - speed * time) / time**2
+        gain = acceleration * min(TIMED_DRIVING.look_ahead, time)
+        in_time = speed + min(gain, TIMED_DRIVING.largest_gain)
+
+        # A follower's speed, if the vehicle can still brake gently before the spot.
+        room = max(distance - TIMED_DRIVING.stop_margin, 0.0)
+        stopping = sqrt(2 * TIMED_DRIVING.braking * room)
+        return max(in_time, min(_follower_speed(vehicle), stopping), lowest)
+
+    def _time_left(self, distance: float, speed: float, now: float) -> float:
+        """Return the time until a vehicle should be at the spot [s].
+
+        It is the time at its present speed, within the interval of time and, if there
+        is such a time, such that the speed at the spot ``2 s / t - v`` is allowed.
+
+        Args:
+            distance: to the spot [m].
+            speed: of the vehicle [m/s].
+            now: the time [s].
+        """
+        # The interval of speeds, less a margin; no margin to a standstill.
+        slowest, fastest = self.speeds
+        margin = min(TIMED_DRIVING.speed_margin, (fastest - slowest) / 2)
+        fastest = fastest - margin
+        slowest = slowest + (margin if slowest > 0 else 0.0)
+
+        # The times at which the vehicle gets there with these speeds.
+        way = 2 * max(distance, 0.0)
+        soonest = way / max(speed + fastest, TIMED_DRIVING.lowest_speed)
+        latest = way / max(speed + slowest, TIMED_DRIVING.lowest_speed)
+
+        # The interval of time, narrowed to these times where both have times in common.
+        first, last = (
+            max(time - now, TIMED_DRIVING.shortest_time) for time in self.times
         )
-        soonest, latest = (
-            2 * max(left, 0.0) / max(speed + end, MIN_SPEED) for end in ends
-        )
-        first, last = (max(time - now, SOON) for time in self.times)
-        if max(first, soonest) <= min(
-            last, latest
-        ):  # there is a time with an allowed speed
+        if max(first, soonest) <= min(last, latest):
             first = max(first, soonest)
             last = min(last, latest)
-        spare = min((last - first) / 2, TIME_MARGIN)
-        time = min(max(left / max(speed, MIN_SPEED), first + spare), last - spare)
-        acceleration = 2 * (left - speed * time) / time**2
-        wanted = speed + min(acceleration * min(LOOK_AHEAD, time), MAX_SPEED_GAIN)
-        return max(
-            wanted,
-            min(
-                _follower_speed(vehicle),
-                sqrt(2 * GENTLE_BRAKING * max(left - STOP_MARGIN, 0.0)),
-            ),
-            MIN_SPEED,
-        )
+
+        margin = min((last - first) / 2, TIMED_DRIVING.time_margin)
+        at_this_speed = distance / max(speed, TIMED_DRIVING.lowest_speed)
+        return min(max(at_this_speed, first + margin), last - margin)
 
     def guide(
         self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float
@@ -119,14 +161,17 @@ class TimedGoal:
         """
         planning = driver.planning
         weights = RoadWeights()
-        rest = (
-            self.times[1] - now - planning.steps * float(planning.time_step)
-        ) / VALUE_GRID.seconds
-        terminal = float(weights.terminal) * min(max(rest, 0.0), 1.0)
-        driver.planning = replace(
-            planning, desired_speed=self.desired_speed(vehicle, now)
+
+        # The share of the seconds after a plan that are before the latest time there.
+        plan_end = planning.steps * float(planning.time_step)
+        share = (self.times[1] - now - plan_end) / VALUE_GRID.seconds
+        terminal = float(weights.terminal) * min(max(share, 0.0), 1.0)
+
+        desired_speed = self.desired_speed(vehicle, now)
+        driver.planning = replace(planning, desired_speed=desired_speed)
+        driver.weights = replace(
+            weights, goal=TIMED_DRIVING.goal_weight, terminal=terminal
         )
-        driver.weights = replace(weights, goal=GOAL_WEIGHT, terminal=terminal)
 
 
 RobotGoal: TypeAlias = str | TimedGoal | None
@@ -138,8 +183,7 @@ def _follower_speed(vehicle: Vehicle) -> float:
     _, rear = vehicle.road.neighbour_vehicles(vehicle)
     if rear is None:
         return 0.0
-    gap = (
-        float(np.linalg.norm(rear.position - vehicle.position))
-        - (rear.LENGTH + vehicle.LENGTH) / 2
-    )
-    return float(rear.speed) if gap < CLOSE_TIME * rear.speed + CLOSE_GAP else 0.0
+    distance = float(np.linalg.norm(rear.position - vehicle.position))
+    gap = distance - (rear.LENGTH + vehicle.LENGTH) / 2
+    close = TIMED_DRIVING.follower_headway * rear.speed + TIMED_DRIVING.follower_gap
+    return float(rear.speed) if gap < close else 0.0
