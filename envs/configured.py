@@ -31,6 +31,7 @@ from ms_highway.envs.configuration import (
     read_own,
     refuse_unknown,
 )
+from ms_highway.envs.keyboard import check_window
 from ms_highway.envs.spaces import (
     Autopilot,
     CarStates,
@@ -42,7 +43,7 @@ from ms_highway.envs.spaces import (
     is_possible,
     limit_speed,
 )
-from ms_highway.envs.viewer import Viewer, check_window, enable_pictures
+from ms_highway.envs.viewer import Viewer, enable_pictures
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.runtime.limits import Positive
 

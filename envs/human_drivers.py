@@ -10,7 +10,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Int
 
 from ms_highway.envs.controllers import KEYBOARD
-from ms_highway.envs.viewer import Keyboard
+from ms_highway.envs.keyboard import Keyboard
 from ms_highway.game.game import Game
 from ms_highway.game.starts import Random
 from ms_highway.loop.controller import (

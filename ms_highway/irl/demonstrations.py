@@ -15,7 +15,7 @@ import numpy as np
 
 from ms_highway.envs import DEMONSTRATION_ID, DemonstrationEnv
 from ms_highway.envs.demonstration import DENSITIES, KEYBOARD_ACTION, demonstration_game
-from ms_highway.envs.viewer import check_display
+from ms_highway.envs.keyboard import check_display
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl import DRIVERS, TEMPERATURE
 from ms_highway.irl.demonstrator import DRIVER_WEIGHTS, maxent, seen_from

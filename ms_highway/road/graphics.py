@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pygame
 
-from ms_highway.envs.viewer import INK, PAPER, Viewer, model_color, words
+from ms_highway.envs.colors import PALETTE, model_color
+from ms_highway.envs.viewer import Viewer, words
 from ms_highway.road.driver import RoadStep
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
@@ -59,7 +60,7 @@ class RoadViewer(Viewer):
         for area in getattr(self.env, "goal_areas", ()):
             pygame.draw.polygon(
                 self.sim_surface,
-                PAPER,
+                PALETTE.paper,
                 [self.sim_surface.vec2pix(corner) for corner in area],
                 2,
             )
@@ -99,13 +100,15 @@ class RoadViewer(Viewer):
                     [surface.vec2pix(corner) for corner in car.polygon()],
                 )
             for point in path[1::2]:
-                pygame.draw.circle(surface, PAPER, surface.vec2pix(point), 3)
+                pygame.draw.circle(surface, PALETTE.paper, surface.vec2pix(point), 3)
                 pygame.draw.circle(surface, color, surface.vec2pix(point), 2)
         line = [
             surface.vec2pix(point)
             for point in (ego.position, *np.asarray(step.path, dtype=float)[:, :2])
         ]
-        for color, width in ((PAPER, 4), (INK, 2)) if len(line) > 1 else ():
+        for color, width in (
+            ((PALETTE.paper, 4), (PALETTE.ink, 2)) if len(line) > 1 else ()
+        ):
             pygame.draw.lines(surface, color, False, line, width)
 
     def _draw_panel(self, step: RoadStep | None) -> None:
@@ -113,7 +116,7 @@ class RoadViewer(Viewer):
         took.
         """
         width, height = self.picture.get_size()
-        pygame.draw.rect(self.picture, PAPER, (0, height - PANEL, width, PANEL))
+        pygame.draw.rect(self.picture, PALETTE.paper, (0, height - PANEL, width, PANEL))
         text = f"{self.env.vehicle.speed:.1f} m/s"
         place = GAP
         if step is not None:
@@ -134,7 +137,7 @@ class RoadViewer(Viewer):
 
     def _write(self, text: str, place: int) -> int:
         """Write on the panel from a place on, and return the place after the text."""
-        label = words(text, SIZE, INK)
+        label = words(text, SIZE, PALETTE.ink)
         self.picture.blit(
             label,
             label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)),

@@ -14,13 +14,13 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from ms_highway.envs.colors import model_color
 from ms_highway.envs.registry import (
     controller_config,
     controller_settings,
     fixed_order_types,
     priced_types,
 )
-from ms_highway.envs.viewer import model_color
 from ms_highway.experiments.comparison import common_seeds, models_of, one_episode
 from ms_highway.experiments.summary import (
     choosing_controllers,

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from ms_highway.envs.viewer import model_meaning
+from ms_highway.envs.colors import model_meaning
 from ms_highway.experiments.comparison import common_seeds, models_of
 from ms_highway.experiments.summary import Results, answer, most_informative_pair
 from ms_highway.game.scenario import title

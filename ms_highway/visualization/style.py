@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from matplotlib import style
 from matplotlib.figure import Figure
 
+from ms_highway.envs.colors import model_color
 from ms_highway.envs.registry import controller_config
-from ms_highway.envs.viewer import model_color
 from ms_highway.planning.ladders import is_model
 
 SHADES = {

@@ -12,8 +12,9 @@ import pygame
 from jaxtyping import UInt8
 from PIL import Image
 
-from ms_highway.envs.graphics import MARGIN
-from ms_highway.envs.viewer import INK, PAPER, model_color, words
+from ms_highway.envs.colors import PALETTE, model_color
+from ms_highway.envs.graphics import PANEL_LAYOUT
+from ms_highway.envs.viewer import words
 from ms_highway.experiments.runner import episode, make_environment
 from ms_highway.runtime.extras import needing
 from ms_highway.runtime.files import replacing
@@ -207,7 +208,7 @@ def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
     middle = (HEADING_HEIGHT - BAR_HEIGHT) // 2
     surface = pygame.Surface((width, HEADING_HEIGHT))
     end = 0.0
-    surface.fill(INK)
+    surface.fill(PALETTE.ink)
     for record in records:
         start = end
         end = end + _seconds(record) / longest * width
@@ -218,14 +219,16 @@ def _titled(film: Film, place: int, longest: float) -> tuple[Picture, Picture]:
             BAR_HEIGHT,
         )
         surface.fill(model_color(record["model"]), bar)
-    name = words(film.controller, NAME_SIZE, PAPER)
-    surface.blit(name, name.get_rect(midleft=(MARGIN, middle)))
+    name = words(film.controller, NAME_SIZE, PALETTE.paper)
+    surface.blit(name, name.get_rect(midleft=(PANEL_LAYOUT.margin, middle)))
     reward = np.mean([record["reward"] for record in records])
     taken = sum(map(_seconds, records))
     numbers = words(
         f"reward per step {reward:+.2f}      computing {1e3 * taken:.1f} ms",
         NUMBERS_SIZE,
-        PAPER,
+        PALETTE.paper,
     )
-    surface.blit(numbers, numbers.get_rect(midright=(width - MARGIN, middle)))
+    surface.blit(
+        numbers, numbers.get_rect(midright=(width - PANEL_LAYOUT.margin, middle))
+    )
     return pygame.surfarray.array3d(surface).swapaxes(0, 1), picture

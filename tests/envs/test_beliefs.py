@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from episodes import drive, make
 
-from ms_highway.envs.graphics import TEXT_WIDTH
-from ms_highway.envs.viewer import model_color
+from ms_highway.envs.colors import model_color
+from ms_highway.envs.graphics import PANEL_LAYOUT
 
 NAIVE, IDM, TURN, TOM = range(4)
 SEED = 3
@@ -48,7 +48,9 @@ def test_a_frame_shows_every_humans_belief():
     def shown(controller):
         env = make("dense_merge", controller, "rgb_array")
         drive(env, steps=1)
-        panel = env.render()[-env.unwrapped.viewer.panel_height :, :TEXT_WIDTH]
+        panel = env.render()[
+            -env.unwrapped.viewer.panel_height :, : PANEL_LAYOUT.text_width
+        ]
         return int((panel == model_color("idm")).all(axis=-1).sum())
 
     assert shown("naive") < 500 < shown("naive+belief")

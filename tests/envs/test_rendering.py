@@ -11,8 +11,8 @@ from commands import run
 from episodes import PIXELS, make
 
 from ms_highway import drive
-from ms_highway.envs.graphics import TEXT_WIDTH
-from ms_highway.envs.viewer import MODEL_COLORS, PAPER
+from ms_highway.envs.colors import MODEL_COLORS, PALETTE
+from ms_highway.envs.graphics import PANEL_LAYOUT
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.video import (
     HEADING_HEIGHT,
@@ -78,8 +78,8 @@ def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_o
     ("controller", "chooses"), [("turn", False), ("switching:0.1", True)]
 )
 def test_the_panel_gives_a_reason_only_if_the_model_is_chosen(controller, chooses):
-    reason = rendered(controller)[-42:, : TEXT_WIDTH - 60]
-    assert (reason != PAPER).any() == chooses
+    reason = rendered(controller)[-42:, : PANEL_LAYOUT.text_width - 60]
+    assert (reason != PALETTE.paper).any() == chooses
 
 
 def test_a_video_of_two_controllers_shows_both_under_their_names(films):

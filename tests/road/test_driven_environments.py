@@ -15,7 +15,7 @@ from ms_highway.benchmarks.road.episodes import (
     run_episode,
     summary,
 )
-from ms_highway.envs.viewer import PAPER, model_color
+from ms_highway.envs.colors import PALETTE, model_color
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.loop.controller import HUMAN_DRIVERS
 from ms_highway.perception.scene import TRAFFIC
@@ -176,8 +176,8 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     height = env.unwrapped.config["screen_height"]
     assert before.shape == frame.shape == (height + PANEL, 600, 3)
     assert (frame[:height] == model_color("idm")).all(axis=-1).sum() > 100
-    assert (frame[height] == PAPER).all()
-    assert (frame[height:] != PAPER).any()
+    assert (frame[height] == PALETTE.paper).all()
+    assert (frame[height:] != PALETTE.paper).any()
 
 
 def test_vector_environments_collect_infos_although_episodes_end_at_different_times():
