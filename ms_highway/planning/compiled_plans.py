@@ -23,14 +23,14 @@ from ms_highway.planning.human_models import (
     warn_of_limits,
     within,
 )
-from ms_highway.planning.joint import (
+from ms_highway.planning.joint import joint_ascent
+from ms_highway.planning.ladders import human_model
+from ms_highway.planning.plans import Plan, Solution, cold_start
+from ms_highway.planning.responders import (
     AssignedResponders,
     Interaction,
     KnownResponders,
-    ascend,
 )
-from ms_highway.planning.ladders import human_model
-from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.planning.way_out import Escape, keep_way_out
 from ms_highway.runtime.arrays import (
     Array,
@@ -101,11 +101,11 @@ def plan_for(
         humans = begin.humans if model.responds else expected
         known = KnownResponders(tuple(range(game.number)) if model.responds else ())
         own = within(model, game)
-        return ascend(Interaction(own, state, known), Plan(begin.robot, humans))
+        return joint_ascent(Interaction(own, state, known), Plan(begin.robot, humans))
     responders = assigned_responders(models, game, rungs)
     responds = responders.steps > 0
     humans = jnp.where(responds[:, None, None], begin.humans, expected)
-    return ascend(Interaction(game, state, responders), Plan(begin.robot, humans))
+    return joint_ascent(Interaction(game, state, responders), Plan(begin.robot, humans))
 
 
 def _predicted(

@@ -25,8 +25,9 @@ from ms_highway.game.dynamics import keep_velocity, step
 from ms_highway.game.game import Game, bounded, constant_velocity, pair, swap_players
 from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.numerics.solvers import Ascent, Solver, longest_step
-from ms_highway.planning.joint import Interaction, KnownResponders, ascend, plan_against
+from ms_highway.planning.joint import joint_ascent, plan_against
 from ms_highway.planning.plans import Plan, Solution, cold_start
+from ms_highway.planning.responders import Interaction, KnownResponders
 from ms_highway.runtime.arrays import (
     Car,
     Control,
@@ -134,7 +135,7 @@ class HumanModel:
             raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
         last = cold_start(game, state) if start is None else start
         begin = own_start(self, game, state, last)
-        solution = ascend(Interaction(game, state, KnownResponders((0,))), begin)
+        solution = joint_ascent(Interaction(game, state, KnownResponders((0,))), begin)
         return solution.plan.humans[0] * game.planner.control_scale
 
 
