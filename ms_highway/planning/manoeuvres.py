@@ -4,174 +4,263 @@ Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible start
 plans for seconds.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import jax
+import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.dynamics import Motion, keep_velocity, step, within_grip
 from ms_highway.game.game import Game
 from ms_highway.geometry.bodies import nearest_ahead
-from ms_highway.runtime.arrays import Array, Car, Control, Scalar
+from ms_highway.runtime.arrays import Car, Control, Scalar
 
-STEERING_FREQUENCY = 2.5  # rad/s, of the critically damped way to the middle of a lane
-MAX_LATERAL_ACCELERATION = 6.0  # m/s^2
-MIN_SPEED = 3.0  # m/s, by which accelerations are divided at least to get curvatures
-# car lengths, of the gap behind the last car of a lane or ahead of the first one
-OPEN_GAP = 6.0
-# car lengths that a car keeps to the centres of the cars around a gap that is wide
-# enough
-GAP_MARGIN = 1.3
-POSITION_GAIN, SPEED_GAIN = (
-    2.0,
-    3.0,
-)  # 1/s^2 and 1/s, by which a car corrects its place and speed to those of a gap
-GAP_BRAKING, GAP_ACCELERATION = 7.0, 4.0  # m/s^2, towards a gap
-ENTRY_TOLERANCE = 2.0  # m, from its place in a gap, within which a car changes lanes
-
-Ways = tuple[
-    Float[jax.Array, "manoeuvres steps 2"], Float[jax.Array, "manoeuvres steps 4"]
-]
-Around = TypeVar("Around")
+Inputs = TypeVar("Inputs")
 
 
-def manoeuvres(game: Game, car: Car, steps: int, accelerations: Array) -> Ways:
-    """Return the scaled controls and the states of a car that goes to the middle of
-    each lane at each acceleration.
+@dataclass(frozen=True)
+class LaneSteering:
+    """Set how a car steers to the middle of a lane, critically damped."""
+
+    frequency: float = 2.5
+    """Of the approach [rad/s]."""
+    max_lateral_acceleration: float = 6.0
+    """Largest lateral acceleration [m/s^2]."""
+    min_speed: float = 3.0
+    """Speed by which accelerations are divided at least to get curvatures [m/s]."""
+
+
+@dataclass(frozen=True)
+class GapEntry:
+    """Set how a car drives into a gap. Its parts along the road are in car lengths."""
+
+    open_length: float = 6.0
+    """Length of the gap behind the last car of a lane, or ahead of the first one [car
+    lengths].
+    """
+    margin: float = 1.3
+    """Distance to the centres of the cars around a gap that is wide enough [car
+    lengths].
+    """
+    place_gain: float = 2.0
+    """Acceleration per distance to the place in the gap [1/s^2]."""
+    speed_gain: float = 3.0
+    """Acceleration per difference to the speed of the gap [1/s]."""
+    max_braking: float = 7.0
+    """Hardest braking towards a gap [m/s^2]."""
+    max_acceleration: float = CAR_LIMITS.acceleration
+    """Hardest acceleration towards a gap [m/s^2]."""
+    tolerance: float = 2.0
+    """Distance to the place in the gap within which a car changes lanes [m]."""
+
+
+LANE_STEERING = LaneSteering()
+GAP_ENTRY = GapEntry()
+
+
+class Manoeuvres(NamedTuple):
+    """Scaled controls of manoeuvres, and the states of the car after each of them."""
+
+    controls: Float[jax.Array, "manoeuvres steps 2"]
+    states: Float[jax.Array, "manoeuvres steps 4"]
+
+
+def manoeuvres(
+    game: Game, car: Car, steps: int, accelerations: Sequence[float]
+) -> Manoeuvres:
+    """Let a car go to the middle of each lane at each acceleration.
+
+    Args:
+        game: of the car.
+        car: its state now.
+        steps: number of steps.
+        accelerations: to hold [m/s^2].
     """
     lanes, held = jnp.meshgrid(
-        jnp.asarray(game.scene.lanes), jnp.asarray(accelerations), indexing="ij"
+        jnp.asarray(game.scene.lanes),
+        jnp.asarray(np.asarray(accelerations, np.float32)),
+        indexing="ij",
     )
 
-    def one(lane: Scalar, acceleration: Scalar) -> tuple[jax.Array, jax.Array]:
-        return _drive(
-            game,
-            car,
-            lambda car, _: _towards(game, car, lane, acceleration),
-            None,
-            steps,
-        )
+    def go_to(lane: Scalar, acceleration: Scalar) -> Manoeuvres:
+        def control(car: Car, _: None) -> Control:
+            return _towards(game, car, lane, acceleration)
 
-    return jax.vmap(one)(lanes.ravel(), held.ravel())
+        return _drive(game, car, control, None, steps)
+
+    return jax.vmap(go_to)(lanes.ravel(), held.ravel())
 
 
-def into_gaps(game: Game, car: Car, others: Motion) -> Ways:
-    """Return the scaled controls and the states of a car that goes into each gap.
+class _Gap(NamedTuple):
+    """A gap between two cars at a step, or gaps [gaps] at all steps [gaps, steps].
+
+    Attributes:
+        lane: lateral position of the lane that it is in, at all steps [m].
+        middle: position of its middle along the road [m].
+        half: half of the distance between the centres of the cars around it [m].
+        speed: of its middle [m/s].
+    """
+
+    lane: jax.Array
+    middle: jax.Array
+    half: jax.Array
+    speed: jax.Array
+
+
+def into_gaps(game: Game, car: Car, others: Motion) -> Manoeuvres:
+    """Let a car go into each gap.
 
     There is a gap ahead of each of the others, and one behind the last car of each
     lane, in this order. A gap is in the lane that is nearest to its cars. The car takes
-    the speed of the gap and a place in its middle, or any place `GAP_MARGIN` away from
-    both ends of a longer gap; it stays in its lane until it is there. In an empty lane,
-    it keeps its speed.
+    the speed of the gap and a place in its middle, or any place that keeps the margin
+    of `GapEntry` to both ends of a longer gap; it stays in its lane until it is there.
+    In an empty lane, it keeps its speed.
 
     Args:
         game: of the car.
         car: its state now.
         others: motion of all others after each step, arrays [others, steps].
     """
-    lanes = jnp.asarray(game.scene.lanes)
     length = jnp.asarray(game.scene.car_size)[0]
-    present = _nearest(lanes, car[1])
-    places = jnp.asarray(jax.vmap(partial(_nearest, lanes))(others.y[:, 0]))
+    own_lane = _nearest(jnp.asarray(game.scene.lanes), car[1])
+
+    def go_into(gap: _Gap) -> Manoeuvres:
+        def control(car: Car, now: tuple[Scalar, Scalar, Scalar]) -> Control:
+            return _into_gap(game, car, length, own_lane, _Gap(gap.lane, *now))
+
+        return _drive(game, car, control, (gap.middle, gap.half, gap.speed), None)
+
+    return jax.vmap(go_into)(_gaps(game, car, length, others))
+
+
+def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
+    """Find the gap ahead of each of the others, and that behind the last of each lane.
+
+    See `into_gaps`; the length is that of a car.
+    """
+    lanes = jnp.asarray(game.scene.lanes)
     x = others.x
     speed = others.speed
-    leader, leads = nearest_ahead(x[:, 0] - x[:, :1], places == places[:, None])
+
+    # Who leads each of the others in its lane now, and who is the last of each lane.
+    lane_of = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    same_lane = lane_of == lane_of[:, None]  # [others, others]
+    leader, leads = nearest_ahead(x[:, 0] - x[:, :1], same_lane)
     leads = leads[:, None]
-    of_lane = places == lanes[:, None]
-    last = jnp.argmin(jnp.where(of_lane, x[:, 0], jnp.inf), axis=-1)
-    taken = of_lane.any(axis=1)[:, None]
-    kept = car[0] + car[3] * game.dynamics.time_step * jnp.arange(1, 1 + x.shape[1])
-    behind = jnp.concatenate([x, jnp.where(taken, x[last] - OPEN_GAP * length, kept)])
-    before = jnp.concatenate(
-        [
-            jnp.where(leads, x[leader], x + OPEN_GAP * length),
-            jnp.where(taken, x[last], kept),
-        ]
+    in_lane = lane_of == lanes[:, None]  # [lanes, others]
+    last = jnp.argmin(jnp.where(in_lane, x[:, 0], jnp.inf), axis=-1)
+    is_taken = in_lane.any(axis=1)[:, None]
+
+    # The ends of each gap; in an empty lane, both are where the car keeps its speed.
+    steps = jnp.arange(1, 1 + x.shape[1])
+    steady = car[0] + car[3] * game.dynamics.time_step * steps
+    behind_last = jnp.where(is_taken, x[last] - GAP_ENTRY.open_length * length, steady)
+    back = jnp.concatenate([x, behind_last])
+    ahead = jnp.where(leads, x[leader], x + GAP_ENTRY.open_length * length)
+    front = jnp.concatenate([ahead, jnp.where(is_taken, x[last], steady)])
+
+    # Its speed: the mean of both ends, or that of its only end.
+    ahead_speed = jnp.where(leads, speed[leader], speed)
+    last_speed = jnp.where(is_taken, speed[last], car[3])
+    gap_speed = jnp.concatenate([(speed + ahead_speed) / 2, last_speed])
+    return _Gap(
+        jnp.concatenate([lane_of, lanes]),
+        middle=(back + front) / 2,
+        half=(front - back) / 2,
+        speed=gap_speed,
     )
-    pace = jnp.concatenate(
-        [
-            (speed + jnp.where(leads, speed[leader], speed)) / 2,
-            jnp.where(taken, speed[last], car[3]),
-        ]
+
+
+def _into_gap(
+    game: Game, car: Car, length: Scalar, own_lane: Scalar, gap: _Gap
+) -> Control:
+    """Return the control, not scaled, towards a gap, and into it once beside its place.
+
+    Args:
+        game: of the car.
+        car: its state before the step.
+        length: of a car [m].
+        own_lane: lateral position of the lane from which it comes [m].
+        gap: after the step.
+    """
+    # Accelerate to the nearest place with the margin to both ends, and to its speed.
+    offset = car[0] + car[3] * game.dynamics.time_step - gap.middle
+    spare = jnp.maximum(gap.half - GAP_ENTRY.margin * length, 0.0)
+    lack = jnp.clip(offset, -spare, spare) - offset
+    speed_lack = gap.speed - car[3]
+    pull = GAP_ENTRY.place_gain * lack + GAP_ENTRY.speed_gain * speed_lack
+
+    # Change lanes once the car fits between both ends.
+    room = jnp.maximum(gap.half - length, 0.0) + GAP_ENTRY.tolerance
+    enters = jnp.abs(offset) < room
+    return _towards(
+        game,
+        car,
+        jnp.where(enters, gap.lane, own_lane),
+        jnp.clip(pull, -GAP_ENTRY.max_braking, GAP_ENTRY.max_acceleration),
     )
-    middle = (behind + before) / 2
-    half = (before - behind) / 2
-
-    def one(
-        lane: Scalar, *gap: Float[jax.Array, "steps"]
-    ) -> tuple[jax.Array, jax.Array]:
-        def follow(car: Car, now: tuple[Scalar, ...]) -> Control:
-            middle, half, pace = now
-            off = car[0] + car[3] * game.dynamics.time_step - middle
-            spare = jnp.maximum(half - GAP_MARGIN * length, 0.0)
-            pull = POSITION_GAIN * (jnp.clip(off, -spare, spare) - off) + SPEED_GAIN * (
-                pace - car[3]
-            )
-            enters = jnp.abs(off) < jnp.maximum(half - length, 0.0) + ENTRY_TOLERANCE
-            return _towards(
-                game,
-                car,
-                jnp.where(enters, lane, present),
-                jnp.clip(pull, -GAP_BRAKING, GAP_ACCELERATION),
-            )
-
-        return _drive(game, car, follow, gap, None)
-
-    return jax.vmap(one)(jnp.concatenate([places, lanes]), middle, half, pace)
 
 
 def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> Scalar:
+    """Return the lateral position of the lane that is nearest to another one."""
     return lanes[jnp.argmin(jnp.abs(lanes - y))]
 
 
 def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Control:
-    """Return the control, not scaled, towards the middle of a lane, within the limits
-    of plans.
+    """Return the control, not scaled, towards the middle of a lane.
 
     The car steers by a lateral acceleration of ``-w^2 (y - y_lane) - 2 w v
-    sin(heading)``, and does not reverse.
+    sin(heading)``, keeps to the limits of plans, and does not reverse.
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)
-    aside = -(STEERING_FREQUENCY**2) * (
-        y - lane
-    ) - 2 * STEERING_FREQUENCY * speed * jnp.sin(heading)
-    omega = jnp.clip(
-        aside, -MAX_LATERAL_ACCELERATION, MAX_LATERAL_ACCELERATION
-    ) / jnp.maximum(speed, MIN_SPEED)
-    omega = (
-        omega / jnp.maximum(speed, MIN_SPEED)
-        if game.dynamics.steering == "curvature"
-        else omega
-    )
-    wanted = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
-    control = jnp.clip(
-        jnp.stack([omega, wanted + keep_velocity(game.dynamics, car)[1]]), -limit, limit
-    )
-    if game.planner.grip is not None:
-        control = within_grip(
-            game.dynamics, jnp.asarray(game.planner.grip), speed, control
-        )
-    return control
+
+    # Lateral acceleration, as a yaw rate or a curvature.
+    w = LANE_STEERING.frequency
+    wanted = -(w**2) * (y - lane) - 2 * w * speed * jnp.sin(heading)
+    most = LANE_STEERING.max_lateral_acceleration
+    lateral = jnp.clip(wanted, -most, most)
+    omega = lateral / jnp.maximum(speed, LANE_STEERING.min_speed)
+    if game.dynamics.steering == "curvature":
+        omega = omega / jnp.maximum(speed, LANE_STEERING.min_speed)
+
+    # Braking that ends at standstill, and the limits.
+    change = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
+    along = change + keep_velocity(game.dynamics, car)[1]
+    control = jnp.clip(jnp.stack([omega, along]), -limit, limit)
+    if game.planner.grip is None:
+        return control
+    grip = jnp.asarray(game.planner.grip)
+    return within_grip(game.dynamics, grip, speed, control)
 
 
 def _drive(
     game: Game,
     car: Car,
-    driver: Callable[[Car, Around], Control],
-    around: Around,
+    control_of: Callable[[Car, Inputs], Control],
+    inputs: Inputs,
     steps: int | None,
-) -> tuple[jax.Array, jax.Array]:
-    """Return the scaled controls of a driver, and the states after them."""
+) -> Manoeuvres:
+    """Drive by a function of the state, step by step.
 
-    def go(
-        car: jax.Array, now: Around
-    ) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-        control = jnp.asarray(driver(car, now))
-        moved = step(game.dynamics, car, control)
-        return moved, (control / game.planner.control_scale, moved)
+    Args:
+        game: of the car.
+        car: its state now.
+        control_of: returns the control, not scaled, given the state of the car and the
+            inputs of a step.
+        inputs: arrays with a row per step; None without inputs.
+        steps: number of steps; None for that of the inputs.
+    """
 
-    return jax.lax.scan(go, jnp.asarray(car), around, steps)[1]
+    def go(car: Car, now: Inputs) -> tuple[Car, Manoeuvres]:
+        control = control_of(car, now)
+        after = step(game.dynamics, car, control)
+        return after, Manoeuvres(control / game.planner.control_scale, after)
+
+    _, driven = jax.lax.scan(go, car, inputs, steps)
+    return driven

@@ -1,7 +1,9 @@
-"""Define plans and their solutions: where plans start from, what they maximise, and
-their limits.
+"""Define plans and their solutions.
+
+That is: where plans start from, what they maximise, and their limits.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
@@ -9,6 +11,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.game import (
     Game,
@@ -31,14 +34,27 @@ from ms_highway.runtime.arrays import (
     for_rows,
 )
 
-RESTART_MARGIN = 5.0
-"""Reward by which a manoeuvre has to be better than the last plan, so that small gains
-do not change plans.
-"""
 
-ACCELERATIONS = np.array(
-    [-8.0, -5.0, -2.5, 0.0, 2.0, 4.0], np.float32
-)  # m/s^2, of the manoeuvres to start from
+@dataclass(frozen=True)
+class RestartSettings:
+    """Set when a plan starts from a simple manoeuvre instead of the last plan."""
+
+    margin: float = 5.0
+    """Reward by which a manoeuvre has to be better than the last plan, so that small
+    gains do not change plans.
+    """
+    accelerations: tuple[float, ...] = (
+        -CAR_LIMITS.braking,
+        -5.0,
+        -2.5,
+        0.0,
+        2.0,
+        CAR_LIMITS.acceleration,
+    )
+    """Accelerations of the manoeuvres, each into each lane [m/s^2]."""
+
+
+RESTART = RestartSettings()
 
 
 class Plan(NamedTuple):
@@ -56,7 +72,8 @@ class Plan(NamedTuple):
         """Return the rest of the plan a step later; its last controls are repeated."""
         xp = self.robot.__array_namespace__()  # of NumPy or JAX
         robot = xp.concat([self.robot[1:], self.robot[-1:]])
-        return Plan(robot, xp.concat([self.humans[:, 1:], self.humans[:, -1:]], axis=1))
+        humans = xp.concat([self.humans[:, 1:], self.humans[:, -1:]], axis=1)
+        return Plan(robot, humans)
 
 
 class Solution(NamedTuple):
@@ -88,51 +105,59 @@ def cold_start(game: Game, state: State) -> Plan:
 
 
 def driving(game: Game, car: Car, others: Trajectories) -> Objective:
-    """Return what car 0 of a game maximises over its controls, given its state and the
-    trajectories of all others.
+    """Return what car 0 of a game maximises over its controls.
+
+    Args:
+        game: of the car, which may be a human after `ms_highway.game.game.swap_roles`.
+        car: its state now.
+        others: trajectories of all others.
     """
     payoff = game.payoff
     return Objective(
-        partial(move, game, car),
-        lambda own: payoff.total(own, others),
-        partial(discomfort, game, car),
-        partial(bounded, game, car),
-        lambda own: payoff.slopes(own, others)[0],
-        lambda own: payoff.curvature(own, others),
-        partial(move_jacobian, game, car),
+        path=partial(move, game, car),
+        reward=lambda own: payoff.total(own, others),
+        cost=partial(discomfort, game, car),
+        bounded=partial(bounded, game, car),
+        slope=lambda own: payoff.slopes(own, others)[0],
+        curvature=lambda own: payoff.curvature(own, others),
+        jacobian=partial(move_jacobian, game, car),
     )
 
 
 def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
-    """Return the controls to start from: the best manoeuvre if it earns
-    `RESTART_MARGIN` more than the last plan.
+    """Return the controls to start from: the last plan's, or a much better manoeuvre.
 
-    Otherwise return the last plan's controls, or NaN where nothing earns a finite
-    reward. The steps of a solver do not leave a local optimum: so there is a manoeuvre
-    per gap, and one per lane and acceleration, see `ms_highway.planning.manoeuvres`.
-    Only plans that continue and climb a smooth reward start from manoeuvres.
+    A manoeuvre has to earn the margin of `RestartSettings` more. The steps of a solver
+    do not leave a local optimum: so there is a manoeuvre per gap, and one per lane and
+    acceleration, see `ms_highway.planning.manoeuvres`. Only plans that continue and
+    climb a smooth reward start from manoeuvres.
 
     Args:
         game: of the robot.
         car: its state now.
         last: scaled controls of the last plan.
         others: trajectories of all others.
+
+    Returns:
+        Scaled controls; NaN where nothing earns a finite reward.
     """
     solver = game.planner.solver
     if not (solver.continues and solver.smooth):
         return last
-    held = manoeuvres(game, car, game.planner.horizon, ACCELERATIONS)
+    into_lanes = manoeuvres(game, car, game.planner.horizon, RESTART.accelerations)
     gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))
+
+    # All candidates, the last plan first.
     objective = driving(game, car, others)
-    controls, states = (
-        jnp.concatenate(sides) for sides in zip(held, gaps, strict=True)
-    )
+    controls = jnp.concatenate([into_lanes.controls, gaps.controls])
+    states = jnp.concatenate([into_lanes.states, gaps.states])
     controls = jnp.concatenate([last[None], controls])
-    paths = jnp.concatenate(
-        [objective.path(last)[None], jnp.stack(observe(states), axis=1)]
-    )
+    paths = jnp.stack(observe(states), axis=1)
+    paths = jnp.concatenate([objective.path(last)[None], paths])
+
+    # The best of them, with an advantage for the last plan.
     earned = jax.vmap(objective.earned)(controls, paths)
-    return best_of(controls, jnp.asarray(earned).at[0].add(RESTART_MARGIN))
+    return best_of(controls, earned.at[0].add(RESTART.margin))
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:

@@ -7,7 +7,7 @@ from driving import dense_merge
 from ms_highway.game.dynamics import coast
 from ms_highway.game.game import constant_velocity, discomfort, move, move_all
 from ms_highway.planning.manoeuvres import into_gaps
-from ms_highway.planning.plans import RESTART_MARGIN, best_start, cold_start
+from ms_highway.planning.plans import RESTART, best_start, cold_start
 from ms_highway.runtime.compilation import jit_quickly
 
 SPEED = 20.0  # m/s
@@ -63,7 +63,7 @@ def test_a_plan_that_is_good_enough_is_kept_and_one_that_collides_or_is_not_fini
     kept, humans = cold_start(GAME, state)
     first = start(state, kept, humans)
     assert (
-        earned(state, first) > earned(state, kept) + RESTART_MARGIN
+        earned(state, first) > earned(state, kept) + RESTART.margin
     )  # it changes lanes
     np.testing.assert_array_equal(start(state, first, humans), first)
 
