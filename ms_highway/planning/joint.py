@@ -27,6 +27,7 @@ linear system per human, see `ms_highway.planning.responses`.
 from functools import partial
 
 import jax
+from jax import numpy as jnp
 
 from ms_highway.game.game import (
     Game,
@@ -151,8 +152,8 @@ def _gradient_step(
     slope_in_robot, slopes_in_others = game.payoff.slopes(robot_path, others)
 
     def respond(
-        human: Index, now: tuple[Trajectory, HumansControls, Trajectories]
-    ) -> tuple[Trajectory, HumansControls, Trajectories]:
+        human: Index, now: tuple[Trajectory, jax.Array, Trajectories]
+    ) -> tuple[Trajectory, jax.Array, Trajectories]:
         robot_slope, humans, paths = now
         own_game = swap_roles(game, human)
         car = state[1 + human]
@@ -184,7 +185,7 @@ def _gradient_step(
             paths.at[human].set(own_drive(controls)),
         )
 
-    before = (slope_in_robot, plan.humans, others)
+    before = (slope_in_robot, jnp.asarray(plan.humans), others)
     robot_slope, humans, paths = responders.fold(
         responders.count(step), respond, before
     )

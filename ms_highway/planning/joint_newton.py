@@ -68,7 +68,7 @@ class Responses(NamedTuple):
     gradient: Vector
     reward: Local
     coupling: Float[jax.Array, "humans fields fields steps"]
-    humans: HumansControls
+    humans: Float[jax.Array, "humans steps 2"]
 
 
 class WholeStep(NamedTuple):
@@ -118,7 +118,7 @@ def newton_step(
     robot_step = reward.step(responses.gradient)
     path_change = reward.jacobian @ robot_step  # to first order
 
-    def react(human: Index, reactions: HumansControls) -> HumansControls:
+    def react(human: Index, reactions: jax.Array) -> jax.Array:
         reaction = _reaction(human, responses, path_change)
         return reactions.at[human].set(reaction)
 
@@ -145,7 +145,9 @@ def _no_responses(game: Game, point: Point) -> Responses:
         lambda part: jnp.zeros((game.number, *part.shape)), point.reward
     )
     couplings = jnp.zeros((game.number, len(point.path), *point.path.shape))
-    return Responses(point.reward.gradient, rewards, couplings, point.plan.humans)
+    return Responses(
+        point.reward.gradient, rewards, couplings, jnp.asarray(point.plan.humans)
+    )
 
 
 def _respond(
@@ -218,8 +220,8 @@ def _humans_after(
     game = interaction.game
 
     def put(
-        human: Index, now: tuple[HumansControls, Trajectories]
-    ) -> tuple[HumansControls, Trajectories]:
+        human: Index, now: tuple[jax.Array, Trajectories]
+    ) -> tuple[jax.Array, Trajectories]:
         humans, paths = now
         car = interaction.state[1 + human]
         reacted = whole.humans[human] + part * whole.reactions[human]
@@ -227,7 +229,8 @@ def _humans_after(
         path = move(game, car, controls)
         return humans.at[human].set(controls), paths.at[human].set(path)
 
-    return interaction.responders.fold(count, put, (point.plan.humans, point.others))
+    before = (jnp.asarray(point.plan.humans), point.others)
+    return interaction.responders.fold(count, put, before)
 
 
 def _share_of_step(

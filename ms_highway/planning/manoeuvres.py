@@ -130,7 +130,7 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Manoeuvres:
     own_lane = _nearest(jnp.asarray(game.scene.lanes), car[1])
 
     def go_into(gap: _Gap) -> Manoeuvres:
-        def control(car: Car, now: tuple[Scalar, Scalar, Scalar]) -> Control:
+        def control(car: Car, now: tuple[jax.Array, jax.Array, jax.Array]) -> Control:
             return _into_gap(game, car, length, own_lane, _Gap(gap.lane, *now))
 
         return _drive(game, car, control, (gap.middle, gap.half, gap.speed), None)
@@ -148,7 +148,7 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
     speed = others.speed
 
     # Who leads each of the others in its lane now, and who is the last of each lane.
-    lane_of = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    lane_of: jax.Array = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
     same_lane = lane_of == lane_of[:, None]  # [others, others]
     leader, leads = nearest_ahead(x[:, 0] - x[:, :1], same_lane)
     leads = leads[:, None]
@@ -206,7 +206,7 @@ def _into_gap(
     )
 
 
-def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> Scalar:
+def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> jax.Array:
     """Return the lateral position of the lane that is nearest to another one."""
     return lanes[jnp.argmin(jnp.abs(lanes - y))]
 
@@ -257,10 +257,10 @@ def _drive(
         steps: number of steps; None for that of the inputs.
     """
 
-    def go(car: Car, now: Inputs) -> tuple[Car, Manoeuvres]:
-        control = control_of(car, now)
+    def go(car: jax.Array, now: Inputs) -> tuple[jax.Array, Manoeuvres]:
+        control = jnp.asarray(control_of(car, now))
         after = step(game.dynamics, car, control)
         return after, Manoeuvres(control / game.planner.control_scale, after)
 
-    _, driven = jax.lax.scan(go, car, inputs, steps)
+    _, driven = jax.lax.scan(go, jnp.asarray(car), inputs, steps)
     return driven

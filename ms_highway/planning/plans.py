@@ -156,7 +156,7 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     paths = jnp.concatenate([objective.path(last)[None], paths])
 
     # The best of them, with an advantage for the last plan.
-    earned = jax.vmap(objective.earned)(controls, paths)
+    earned = jnp.asarray(jax.vmap(objective.earned)(controls, paths))
     return best_of(controls, earned.at[0].add(RESTART.margin))
 
 

@@ -44,7 +44,7 @@ def slope_change(coupling: Bends, change: Trajectory) -> Trajectory:
 
 def in_controls(
     slope: Trajectory, jacobian: Float[jax.Array, "fields steps n"]
-) -> Vector:
+) -> Float[jax.Array, "n"]:
     """Return the slope in n ravelled controls, ``S^T slope``, by the chain rule.
 
     Args:

@@ -25,7 +25,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Car, Control, Controls, Flag, Index, Scalar, State
+from ms_highway.runtime.arrays import Car, Control, Controls, Flag, Scalar, State
 
 Ways = Float[jax.Array, "ways steps 4"]
 
@@ -157,7 +157,7 @@ def _free_steps(game: Game, ways: Ways, others: Motion) -> Int[jax.Array, "ways"
         others: motion of all others, arrays [others, steps].
     """
 
-    def count(way: Float[jax.Array, "steps 4"]) -> Index:
+    def count(way: Float[jax.Array, "steps 4"]) -> jax.Array:
         own = observe(way)
         is_free = ~touches(game.scene, own, others)
         is_clear = ~touches(game.scene, own, others, ESCAPE.clearance)
