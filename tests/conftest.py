@@ -154,26 +154,38 @@ def little_memory() -> Iterator[None]:
         forget_compiled()
 
 
-def _shared(variable: str, folder: str, pattern: str) -> Path:
+def _shared(what: str, variable: str, folder: str, pattern: str) -> Path:
     """Return a directory of data beside the project, or skip the test."""
-    directory = Path(
-        os.environ.get(variable, Path(__file__).parents[2] / "shared" / folder)
-    )
+    beside = Path(__file__).parents[2] / "shared" / folder
+    directory = Path(os.environ.get(variable, beside))
     if not list(directory.glob(pattern)):
-        pytest.skip(f"no {pattern} in {directory}; set {variable} to their directory")
+        pytest.skip(
+            f"needs {what}, but there is no {pattern} in {directory}; set {variable} to"
+            " their directory"
+        )
     return directory
 
 
 @pytest.fixture(scope="session")
 def reference() -> Path:
     """The directory of the reference episodes."""
-    return _shared("MS_HIGHWAY_REFERENCE", "reference/episodes", "*.npz")
+    return _shared(
+        "the logs of the paper's released code",
+        "MS_HIGHWAY_REFERENCE",
+        "reference/episodes",
+        "*.npz",
+    )
 
 
 @pytest.fixture(scope="session")
 def us101_directory() -> Path:
     """The directory of human driving on the US-101 highway."""
-    return _shared("MS_HIGHWAY_HUMAN_DRIVING", "human_driving/us101", "*.xml.gz")
+    return _shared(
+        "recordings of US-101",
+        "MS_HIGHWAY_HUMAN_DRIVING",
+        "human_driving/us101",
+        "*.xml.gz",
+    )
 
 
 @pytest.fixture

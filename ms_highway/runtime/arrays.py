@@ -26,8 +26,8 @@ Index: TypeAlias = Int[Array, ""] | np.integer | int
 Flag: TypeAlias = Bool[Array, ""] | np.bool | bool
 Vector: TypeAlias = Float[Array, "n"]
 Matrix: TypeAlias = Float[jax.Array, "n n"]
-Numbers: TypeAlias = Float[Array, "*shape"]
-Numeric: TypeAlias = Float[Array, "*shape"] | np.floating | float
+Numbers: TypeAlias = Float[Array, "..."]
+Numeric: TypeAlias = Float[Array, "..."] | np.floating | float
 """An array of numbers, or a single number."""
 
 Control: TypeAlias = Float[Array, "2"]
