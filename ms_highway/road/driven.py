@@ -4,10 +4,11 @@ from collections import Counter
 from collections.abc import Mapping
 from copy import deepcopy
 from math import ceil
-from typing import Any
+from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
+from gymnasium.core import RenderFrame
 from gymnasium.utils import RecordConstructorArgs
 from highway_env.envs import LaneKeepingEnv, MergeEnv, ParkingEnv, RoundaboutEnv
 from highway_env.envs.common.abstract import AbstractEnv
@@ -36,67 +37,59 @@ from ms_highway.road.stock import (
 )
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
-WORKS = (
-    "highway, merge, roundabout, intersection, exit, two-way, u-turn and racetrack"
-    " environments"
-)
-UNTIL_FIRST = {
-    "models": ("",) * TRAFFIC,
-    "source": "",
-    "broken": False,
-    "failed": False,
-    "planning_seconds": 0.0,
-    "decision_seconds": 0.0,
-    "compile_seconds": 0.0,
-}
-"""Fields of the driver's last step in ``info["road"]``, with their values before the
-first step.
-"""
+Info: TypeAlias = dict[str, Any]
+"""What `reset` and `step` tell besides the observation, by key."""
 
-NO_GAINS = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
-# m/s^2 and rad: the control in the frames of a step may differ from its action by this
-# much
-SAME = 1e-5
+Observation: TypeAlias = Any
+Reward: TypeAlias = Any
+"""The environment's own; with several agents, tuples of them."""
+
+Action: TypeAlias = np.ndarray | int | tuple["Action", ...]
+"""An action of highway-env; with several agents, a tuple of them."""
 
 
-def drive(env: Any, config: Mapping[str, Any] | None = None) -> "Driven":
+def drive(env: gym.Env, config: Mapping[str, object] | None = None) -> "Driven":
     """Let a robot drive the controlled vehicles of a stock environment of highway-env.
 
     The environment keeps its spaces, reward and time limits. Actions are ignored, and
     ``info["road"]`` says what the robot does, see `Driven`::
 
-        env = ms_highway.drive(gym.make("roundabout-v0", render_mode="rgb_array"), {"desired_speed": 12.0})
+        stock = gym.make("roundabout-v0", render_mode="rgb_array")
+        env = ms_highway.drive(stock, {"desired_speed": 12.0})
         env.reset(seed=0)
         observation, reward, terminated, truncated, info = env.step(None)
 
     Args:
-        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or racetrack environment. highway-env
-            itself cannot make merge and roundabout with ``ContinuousAction``.
-        config: any of these keys, see `ms_highway.road.settings.RoadSettings`: ``driver`` (``"priced"`` by
-            default; ``"fixed:naive"``, ...; or a name of `ms_highway.add_driver`, see
-            `ms_highway.road.added.AddedRoadDriver`), ``price`` [reward/s] or ``budget`` [ms] of computation,
-            ``desired_speed`` [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs`` and
-            ``intentions`` (whether the robot knows the routes of others).
+        env: a highway, merge, roundabout, intersection, exit, two-way, u-turn or
+            racetrack environment. highway-env itself cannot make merge and roundabout
+            with ``ContinuousAction``.
+        config: any of these keys, see `ms_highway.road.settings.RoadSettings`:
+            ``driver`` (``"priced"`` by default; ``"fixed:naive"``, ...; or a name of
+            `ms_highway.add_driver`, see `ms_highway.road.added.AddedRoadDriver`),
+            ``price`` [reward/s] or ``budget`` [ms] of computation, ``desired_speed``
+            [m/s], ``acceleration`` [m/s^2], ``curvature`` [1/m], ``ladder``, ``costs``
+            and ``intentions`` (whether the robot knows the routes of others).
 
     Returns:
         The environment, driven.
 
     Raises:
-        ValueError: for an environment without roads to follow, an unknown key or an impossible value.
+        ValueError: for an environment without roads to follow, an unknown key or an
+            impossible value.
     """
     return Driven(env, config)
 
 
-def check_drivable(env: Any) -> None:
+def check_drivable(env: gym.Env) -> None:
     """Check that an environment is one of highway-env's, has roads to follow, and has
     actions that its reward accepts.
 
     Raises:
         ValueError: naming what works.
     """
-    base = env.unwrapped
-    reason = None
+    base: AbstractEnv = env.unwrapped
     name = base.spec.id if base.spec else type(base).__name__
+    reason = None
     if isinstance(base, ParkingEnv):
         reason = "has no road to follow"
     elif isinstance(base, LaneKeepingEnv):
@@ -104,20 +97,19 @@ def check_drivable(env: Any) -> None:
     elif not isinstance(base, AbstractEnv) or isinstance(base, GameEnv):
         reason = "is none of highway-env's own environments"
     if reason:
-        raise ValueError(f"{name} {reason}; the robot drives {WORKS}")
-    kind = base.action_type
-    if (
-        isinstance(base, (MergeEnv, RoundaboutEnv))
-        and type(kind) is ContinuousAction
-        and kind.size > 1
-    ):
-        remedy = (
-            "make the environment with config={'action': {'type':"
-            " 'DiscreteMetaAction'}}"
+        raise ValueError(
+            f"{name} {reason}; the robot drives highway, merge, roundabout,"
+            " intersection, exit, two-way, u-turn and racetrack environments"
         )
+
+    # Rewards of merge and roundabout look up a single action in a table.
+    action_type = base.action_type
+    is_continuous = type(action_type) is ContinuousAction and action_type.size > 1
+    if isinstance(base, (MergeEnv, RoundaboutEnv)) and is_continuous:
         raise ValueError(
             f"the reward of {name} reads lane changes, which a ContinuousAction does"
-            f" not have; {remedy}"
+            " not have; make the environment with config={'action': {'type':"
+            " 'DiscreteMetaAction'}}"
         )
 
 
@@ -155,7 +147,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         robots: drive the controlled vehicles of this episode.
     """
 
-    def __init__(self, env: Any, config: Mapping[str, Any] | None = None) -> None:
+    def __init__(
+        self, env: gym.Env, config: Mapping[str, object] | None = None
+    ) -> None:
         RecordConstructorArgs.__init__(self, config=as_json(config))
         gym.Wrapper.__init__(self, env)
         check_drivable(env)
@@ -165,7 +159,7 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    ) -> tuple[Observation, Info]:
         """Start an episode, and replace every controlled vehicle by a robot.
 
         Raises:
@@ -180,17 +174,15 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         except ValueError:
             check_drivable(self.env)
             raise
-        base: Any = self.unwrapped
-        if (
-            enable_pictures(base)
-            and self.env.observation_space == base.observation_space
-        ):
+        base: AbstractEnv = self.unwrapped
+        is_own_observation = self.env.observation_space == base.observation_space
+        if enable_pictures(base) and is_own_observation:
             observation = base.observation_type.observe()  # the first picture was black
+
+        # Traffic must not depend on who drives, so the robots draw from a copy.
+        random = deepcopy(base.np_random)
         frame = 1 / base.config["simulation_frequency"]
         planning = self.settings.planning(desired_speed_of(base), frame)
-        random = deepcopy(
-            base.np_random
-        )  # so that traffic does not depend on who drives
         self.robots = []
         for number in range(len(base.controlled_vehicles)):
             goal = destination_of(base, number)
@@ -204,14 +196,14 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             self.robots.append(robot)
         return observation, self._described(info)
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+    def step(self, action: object) -> tuple[Observation, Reward, bool, bool, Info]:
         """Let the robot drive for a step; the action is ignored.
 
         Raises:
             ResetNeeded: if this wrapper has not been reset, or the environment below it
                 has been since.
         """
-        base: Any = self.unwrapped
+        base: AbstractEnv = self.unwrapped
         if not self.robots or base.controlled_vehicles != self.robots:
             raise gym.error.ResetNeeded(
                 "the robot is not in the car; call reset of the driven environment, not"
@@ -222,12 +214,12 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         *outcome, info = self.env.step(placeholder_action(base.action_type))
         return *outcome, self._described(info)
 
-    def render(self) -> Any:
+    def render(self) -> RenderFrame | list[RenderFrame] | None:
         """Show the road, the plan, the predictions and the rungs."""
         show(self.env)
         return self.env.render()
 
-    def _described(self, info: dict[str, Any]) -> dict[str, Any]:
+    def _described(self, info: Info) -> Info:
         """Return ``info`` with the driver's part, whose shapes and types are the same
         before and after the first step.
 
@@ -235,46 +227,15 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         decimal numbers.
         """
         robot = self.robots[0]
-        base: Any = self.unwrapped
-        kind = base.action_type
-        reached = success(base)
-
-        # Plans of this step; those that were not made leave their places empty.
-        frequency = base.config["simulation_frequency"]
-        frames = frequency // base.config["policy_frequency"]
-        frames_of_plan = max(1, round(RoadRobot.period * frequency))
-        seconds = [
-            step.planning_seconds + step.decision_seconds for step in robot.steps
-        ]
-        missing = ceil(frames / frames_of_plan) - len(seconds)
-        counts = Counter(name for step in robot.steps for name in step.models)
-        last = robot.last_step
-        gains = NO_GAINS if last is None or last.gains is None else last.gains
-
-        # The action that does the same, if there is one; with several robots, one for
-        # each.
-        kinds = (
-            kind.agents_action_types if isinstance(kind, MultiAgentAction) else [kind]
-        )
-        executed: Any = tuple(map(executed_action, kinds, self.robots))
-        if frames > frames_of_plan or any(each is None for each in executed):
-            executed = None
-        elif not isinstance(kind, MultiAgentAction):
-            executed = executed[0]
-
+        reached = success(self)
         road = {
-            name: getattr(last, name, value) for name, value in UNTIL_FIRST.items()
-        } | {
-            "gains": dict(zip(TRAFFIC_MODELS, gains.T, strict=True)),
-            "decisions": np.array(seconds + [np.nan] * missing),
-            "sources": (*(step.source for step in robot.steps), *[""] * missing),
-            "late": sum(step.status == "late" for step in robot.steps),
-            "model_counts": {name: counts[name] for name in TRAFFIC_MODELS},
+            **self._last_step(robot),
+            **self._plans(robot),
             "acceleration": float(max(robot.accelerations, default=0.0)),
             "jerk": float(max(robot.jerks, default=0.0)),
             "destination": robot.goal_place,
             "success": reached,
-            "action": executed,
+            "action": self._action(),
         }
         described = {**info, "road": road}
         if "speed" in info:
@@ -283,8 +244,69 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
             described["is_success"] = reached
         return described
 
+    def _last_step(self, robot: RoadRobot) -> Info:
+        """Return what ``info["road"]`` says of the driver's last step, with values of
+        the same types before the first one.
+        """
+        last = robot.last_step
+        gains = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
+        if last is not None and last.gains is not None:
+            gains = np.asarray(last.gains)
+        return {
+            "models": ("",) * TRAFFIC if last is None else last.models,
+            "source": "" if last is None else last.source,
+            "broken": False if last is None else last.broken,
+            "failed": False if last is None else last.failed,
+            "planning_seconds": 0.0 if last is None else last.planning_seconds,
+            "decision_seconds": 0.0 if last is None else last.decision_seconds,
+            "compile_seconds": 0.0 if last is None else last.compile_seconds,
+            "gains": dict(zip(TRAFFIC_MODELS, gains.T, strict=True)),
+        }
 
-def placeholder_action(action_type: ActionType) -> Any:
+    def _plans(self, robot: RoadRobot) -> Info:
+        """Return what ``info["road"]`` says of the plans of this step; those that were
+        not made leave their places empty.
+        """
+        seconds = [
+            step.planning_seconds + step.decision_seconds for step in robot.steps
+        ]
+        sources = [step.source for step in robot.steps]
+        missing = ceil(self._frames / self._frames_of_plan) - len(seconds)
+        counts = Counter(name for step in robot.steps for name in step.models)
+        return {
+            "decisions": np.array(seconds + [np.nan] * missing),
+            "sources": (*sources, *[""] * missing),
+            "late": sum(step.status == "late" for step in robot.steps),
+            "model_counts": {name: counts[name] for name in TRAFFIC_MODELS},
+        }
+
+    def _action(self) -> np.ndarray | tuple[np.ndarray | None, ...] | None:
+        """Return the action that repeats what the robots did in this step, None where
+        there is none; with several robots, one for each.
+        """
+        if self._frames > self._frames_of_plan:
+            return None
+        base: AbstractEnv = self.unwrapped
+        if not isinstance(base.action_type, MultiAgentAction):
+            return executed_action(base.action_type, self.robots[0])
+        types = base.action_type.agents_action_types
+        actions = tuple(map(executed_action, types, self.robots))
+        return None if any(action is None for action in actions) else actions
+
+    @property
+    def _frames(self) -> int:
+        """Frames of the simulation in a step."""
+        config = self.unwrapped.config  # type: ignore[attr-defined]
+        return config["simulation_frequency"] // config["policy_frequency"]
+
+    @property
+    def _frames_of_plan(self) -> int:
+        """Frames of the simulation for which a plan drives."""
+        config = self.unwrapped.config  # type: ignore[attr-defined]
+        return max(1, round(RoadRobot.period * config["simulation_frequency"]))
+
+
+def placeholder_action(action_type: ActionType) -> Action:
     """Return the action that rewards receive for a car that drives itself: idle, or
     what it last executed.
     """
@@ -292,7 +314,14 @@ def placeholder_action(action_type: ActionType) -> Any:
         return tuple(map(placeholder_action, action_type.agents_action_types))
     if isinstance(action_type, DiscreteMetaAction):
         return action_type.actions_indexes["IDLE"]
-    return _nearest_in(action_type, action_type.controlled_vehicle.action)
+    action = _nearest_in(action_type, action_type.controlled_vehicle.action)
+    if not isinstance(action_type, DiscreteAction):
+        return action
+
+    # The number of the nearest point on the grid of a discrete space.
+    points = action_type.actions_per_axis
+    places = np.rint((action + 1) / 2 * (points - 1)).astype(int)
+    return int(np.ravel_multi_index(tuple(places), (points,) * action_type.size))
 
 
 def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
@@ -303,41 +332,38 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
     limits changed the control within the step, or because the control is outside the
     ranges of the space.
     """
-    continuous = isinstance(action_type, ContinuousAction) and not isinstance(
-        action_type, DiscreteAction
-    )
-    if not continuous or action_type.dynamical:
+    is_continuous = isinstance(action_type, ContinuousAction)
+    if not is_continuous or isinstance(action_type, DiscreteAction):
         return None
-    if not robot.actions:  # at the reset, nothing has been done yet
-        return np.full(action_type.space().shape, np.nan, np.float32)
+    if action_type.dynamical:
+        return None
     frames = robot.actions
+    if not frames:  # at the reset, nothing has been done yet
+        return np.full(action_type.space().shape, np.nan, np.float32)
+
+    # The control in every frame, against that of the action.
+    tolerance = 1e-5  # m/s^2 and rad
     action = _nearest_in(action_type, frames[0])
     repeated = ContinuousAction.get_action(action_type, action)
-    same = all(
-        abs(frame[key] - repeated[key]) < SAME for frame in frames for key in repeated
+    is_same = all(
+        abs(frame[key] - value) < tolerance
+        for frame in frames
+        for key, value in repeated.items()
     )
-    return action if same else np.full_like(action, np.nan)
+    return action if is_same else np.full_like(action, np.nan)
 
 
-def _nearest_in(action_type: ContinuousAction, executed: Mapping[str, float]) -> Any:
-    """Return the action of a space that is nearest to what a vehicle executed [m/s^2,
+def _nearest_in(
+    action_type: ContinuousAction, executed: Mapping[str, float]
+) -> np.ndarray:
+    """Return the continuous action of a space that is nearest to what a vehicle executed [m/s^2,
     rad]; acceleration first.
     """
     values = []
     if action_type.longitudinal:
-        values.append(
-            lmap(executed["acceleration"], action_type.acceleration_range, (-1, 1))
-        )
+        acceleration = executed["acceleration"]
+        values.append(lmap(acceleration, action_type.acceleration_range, (-1, 1)))
     if action_type.lateral:
-        values.append(lmap(executed["steering"], action_type.steering_range, (-1, 1)))
-    action = np.clip(values, -1, 1).astype(np.float32)
-    if isinstance(action_type, DiscreteAction):
-        places = np.rint((action + 1) / 2 * (action_type.actions_per_axis - 1)).astype(
-            int
-        )
-        return int(
-            np.ravel_multi_index(
-                tuple(places), (action_type.actions_per_axis,) * action_type.size
-            )
-        )
-    return action
+        steering = executed["steering"]
+        values.append(lmap(steering, action_type.steering_range, (-1, 1)))
+    return np.clip(values, -1, 1).astype(np.float32)

@@ -4,32 +4,27 @@ and a line of text below it.
 
 from collections import Counter
 from operator import itemgetter
-from typing import Any
+from typing import ClassVar
 
+import gymnasium as gym
 import numpy as np
 import pygame
+from highway_env.envs.common.abstract import AbstractEnv
 
 from ms_highway.envs.colors import PALETTE, model_color
 from ms_highway.envs.viewer import Viewer, words
 from ms_highway.road.driver import RoadStep
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
-PANEL, SIZE, GAP = (
-    24,
-    13,
-    10,
-)  # px: height of the line of text, size of its font, and gap between its parts
-MEANINGS = {
-    "proposal": "proposal: planned now",
-    "last plan": "last plan: planned earlier",
-}
+PANEL = 24
+"""Height of the line of text below the road [px]."""
 
 
-def show(env: Any) -> None:
+def show(env: gym.Env) -> None:
     """Let a `RoadViewer` draw an environment that is rendered, from the next picture
     on.
     """
-    base = env.unwrapped
+    base: AbstractEnv = env.unwrapped
     if base.render_mode is not None and not isinstance(base.viewer, RoadViewer):
         base.viewer = RoadViewer(base)
 
@@ -39,9 +34,14 @@ class RoadViewer(Viewer):
     a line of text below.
     """
 
+    text_size: ClassVar[int] = 13
+    """Size of the font [px]."""
+    text_gap: ClassVar[int] = 10
+    """Gap between the parts of the line [px]."""
+
     offscreen: bool
 
-    def __init__(self, env: Any) -> None:
+    def __init__(self, env: AbstractEnv) -> None:
         super().__init__(env)
         width, height = self.sim_surface.get_size()
         self.picture = pygame.Surface((width, height + PANEL))
@@ -50,20 +50,16 @@ class RoadViewer(Viewer):
 
     def display(self) -> None:
         """Draw everything."""
-        offscreen, self.offscreen = (
-            self.offscreen,
-            True,
-        )  # so that the window does not show an incomplete picture
+        # Draw the road aside, so that the window does not show an incomplete picture.
+        offscreen = self.offscreen
+        self.offscreen = True
         super().display()
         self.offscreen = offscreen
+
         step = getattr(self.env.vehicle, "last_step", None)
         for area in getattr(self.env, "goal_areas", ()):
-            pygame.draw.polygon(
-                self.sim_surface,
-                PALETTE.paper,
-                [self.sim_surface.vec2pix(corner) for corner in area],
-                2,
-            )
+            corners = [self.sim_surface.vec2pix(corner) for corner in area]
+            pygame.draw.polygon(self.sim_surface, PALETTE.paper, corners, 2)
         if step is not None and not self.env.vehicle.crashed:
             self._draw_plan(step)
         self.picture.blit(self.sim_surface, (0, 0))
@@ -80,36 +76,32 @@ class RoadViewer(Viewer):
         """
         ego = self.env.vehicle
         surface = self.sim_surface
-        known = list(ego.road_memory.numbers)
+        known_cars = list(ego.road_memory.numbers)
         predictions = np.asarray(step.humans, dtype=float)
-        predicted = [
-            (TRAFFIC_MODELS.index(rung), known[owner], path)
-            for rung, owner, path in zip(
-                step.models, step.owners, predictions, strict=True
-            )
-            if rung
-        ]
-        for rung, car, path in sorted(
-            predicted, key=itemgetter(0)
-        ):  # the most expensive rung colours its car last
-            color = model_color(TRAFFIC_MODELS[rung])
+
+        # The paths with a prediction; the most expensive rung colours its car last.
+        predicted = []
+        for rung, owner, path in zip(
+            step.models, step.owners, predictions, strict=True
+        ):
+            if rung:
+                predicted.append((TRAFFIC_MODELS.index(rung), known_cars[owner], path))
+        predicted.sort(key=itemgetter(0))
+        for number, car, path in predicted:
+            color = model_color(TRAFFIC_MODELS[number])
             if not car.crashed:
-                pygame.draw.polygon(
-                    surface,
-                    color,
-                    [surface.vec2pix(corner) for corner in car.polygon()],
-                )
+                corners = [surface.vec2pix(corner) for corner in car.polygon()]
+                pygame.draw.polygon(surface, color, corners)
             for point in path[1::2]:
                 pygame.draw.circle(surface, PALETTE.paper, surface.vec2pix(point), 3)
                 pygame.draw.circle(surface, color, surface.vec2pix(point), 2)
-        line = [
-            surface.vec2pix(point)
-            for point in (ego.position, *np.asarray(step.path, dtype=float)[:, :2])
-        ]
-        for color, width in (
-            ((PALETTE.paper, 4), (PALETTE.ink, 2)) if len(line) > 1 else ()
-        ):
-            pygame.draw.lines(surface, color, False, line, width)
+
+        # The plan, with a light border.
+        positions = np.asarray(step.path, dtype=float)[:, :2]
+        line = [surface.vec2pix(point) for point in (ego.position, *positions)]
+        if len(line) > 1:
+            pygame.draw.lines(surface, PALETTE.paper, False, line, 4)
+            pygame.draw.lines(surface, PALETTE.ink, False, line, 2)
 
     def _draw_panel(self, step: RoadStep | None) -> None:
         """Write how many cars each rung predicts, what drives, and how long the plan
@@ -118,28 +110,28 @@ class RoadViewer(Viewer):
         width, height = self.picture.get_size()
         pygame.draw.rect(self.picture, PALETTE.paper, (0, height - PANEL, width, PANEL))
         text = f"{self.env.vehicle.speed:.1f} m/s"
-        place = GAP
+        place = self.text_gap
         if step is not None:
-            cars = dict.fromkeys(
-                zip(step.models, np.asarray(step.owners).tolist(), strict=True)
-            )  # each once
-            for rung, count in Counter(rung for rung, _ in cars if rung).items():
-                pygame.draw.circle(
-                    self.picture, model_color(rung), (place + 4, height - PANEL // 2), 5
-                )
+            # Each car counts once, however many paths it may take.
+            owners = np.asarray(step.owners).tolist()
+            rungs_of_cars = dict.fromkeys(zip(step.models, owners, strict=True))
+            counts = Counter(rung for rung, _ in rungs_of_cars if rung)
+            for rung, count in counts.items():
+                dot = place + 4, height - PANEL // 2
+                pygame.draw.circle(self.picture, model_color(rung), dot, 5)
                 place = self._write(f"{rung} {count}", place + 14)
+
+            meaning = {
+                "proposal": "proposal: planned now",
+                "last plan": "last plan: planned earlier",
+            }.get(step.source, step.source)
             milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
-            text = (
-                f"{MEANINGS.get(step.source, step.source)}, {milliseconds:.1f} ms,"
-                f" {text}"
-            )
+            text = f"{meaning}, {milliseconds:.1f} ms, {text}"
         self._write(text, place)
 
     def _write(self, text: str, place: int) -> int:
         """Write on the panel from a place on, and return the place after the text."""
-        label = words(text, SIZE, PALETTE.ink)
-        self.picture.blit(
-            label,
-            label.get_rect(midleft=(place, self.picture.get_height() - PANEL // 2)),
-        )
-        return place + label.get_width() + GAP
+        label = words(text, self.text_size, PALETTE.ink)
+        middle = self.picture.get_height() - PANEL // 2
+        self.picture.blit(label, label.get_rect(midleft=(place, middle)))
+        return place + label.get_width() + self.text_gap

@@ -10,7 +10,7 @@ rules here.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import jax
 import numpy as np
@@ -49,7 +49,7 @@ class Bounds(Estimator[PerHuman]):
         return Estimate(gains, jnp.bool(False))
 
 
-DRIVERS = (
+DRIVER_VALUES = (
     "priced",
     "priced:PRICE",
     "budget:MS",
@@ -60,10 +60,24 @@ DRIVERS = (
 OptionalPositive = Annotated[
     Positive | None, Meta(description="it must be a positive number, or None")
 ]
-COSTS = (
-    "say 'shipped', or give milliseconds of at least 0 by rung, such as {'tom': 0.5}"
+LADDER_REMEDY = (
+    f"give rungs of {', '.join(TRAFFIC_MODELS)} in this order, beginning with"
+    f" {TRAFFIC_MODELS[0]}"
 )
-IN_ORDER = f"give rungs of {', '.join(TRAFFIC_MODELS)} in this order, beginning with {TRAFFIC_MODELS[0]}"
+
+
+class DriverChoice(NamedTuple):
+    """What ``config["driver"]`` says, with price and budget.
+
+    Attributes:
+        kind: ``priced``, ``budget``, ``fixed`` or ``added``.
+        name: of the model of ``fixed``, or of the added driver.
+        number: the price [reward/s] or the budget [ms].
+    """
+
+    kind: str
+    name: str = ""
+    number: float = 0.0
 
 
 class RoadSettings(Struct, frozen=True):
@@ -97,21 +111,25 @@ class RoadSettings(Struct, frozen=True):
     """
 
     driver: Annotated[
-        str, Meta(description=f"choose one of {', '.join(map(repr, DRIVERS))}")
+        str, Meta(description=f"choose one of {', '.join(map(repr, DRIVER_VALUES))}")
     ] = "priced"
     price: NotNegative = 1.0
     budget: OptionalPositive = None
     costs: Annotated[
-        Literal["shipped"] | dict[str, NotNegative], Meta(description=COSTS)
+        Literal["shipped"] | dict[str, NotNegative],
+        Meta(
+            description="say 'shipped', or give milliseconds of at least 0 by rung,"
+            " such as {'tom': 0.5}"
+        ),
     ] = "shipped"
-    ladder: Annotated[tuple[str, ...], Meta(description=IN_ORDER)] = TRAFFIC_MODELS
+    ladder: Annotated[tuple[str, ...], Meta(description=LADDER_REMEDY)] = TRAFFIC_MODELS
     desired_speed: OptionalPositive = None
     acceleration: Positive = 5.0
     curvature: Positive = 0.2
     intentions: bool = False
 
     @classmethod
-    def read(cls, config: Mapping[str, Any] | None) -> "RoadSettings":
+    def read(cls, config: Mapping[str, object] | None) -> "RoadSettings":
         """Read a configuration; without one, take the defaults.
 
         Raises:
@@ -126,49 +144,47 @@ class RoadSettings(Struct, frozen=True):
             self.costs if isinstance(self.costs, dict) else (),
             TRAFFIC_MODELS,
         )
-        if TRAFFIC_MODELS[0] not in self.ladder or self.ladder != tuple(
-            rung for rung in TRAFFIC_MODELS if rung in self.ladder
-        ):
-            raise ValueError(f"config['ladder'] is {self.ladder!r}; {IN_ORDER}")
+        in_order = tuple(rung for rung in TRAFFIC_MODELS if rung in self.ladder)
+        if TRAFFIC_MODELS[0] not in self.ladder or self.ladder != in_order:
+            raise ValueError(f"config['ladder'] is {self.ladder!r}; {LADDER_REMEDY}")
         self._choice()
 
-    def _choice(self) -> tuple[str, Any]:
-        """Return the kind of the driver, and its model, price or milliseconds.
+    def _choice(self) -> DriverChoice:
+        """Return what the driver is.
 
         Raises:
             ValueError: for an unknown driver or an impossible value.
         """
         message = f"config['driver'] is {self.driver!r}"
         if self.driver == "priced":
-            return (
-                ("priced", self.price)
-                if self.budget is None
-                else ("budget", self.budget)
-            )
+            if self.budget is None:
+                return DriverChoice("priced", number=self.price)
+            return DriverChoice("budget", number=self.budget)
         if self.budget is not None:
             raise ValueError(
                 f"config['budget'] is {self.budget!r}, but {message}; say 'priced'"
             )
         if self.driver in added_drivers():
-            return "added", self.driver
+            return DriverChoice("added", self.driver)
+
+        # The rest is "KIND:VALUE".
         kind, _, value = self.driver.partition(":")
-        values = {
-            "priced": NotNegative,
-            "budget": NotNegative,
-            "fixed": Literal[self.ladder],
-        }
         try:
-            return kind, convert(value, values[kind], strict=False)
-        except (KeyError, ValidationError):
-            known = (
-                f"{', '.join([*DRIVERS, *added_drivers()])} or a name of"
-                " ms_highway.add_driver"
-            )
-            remedy = (
-                f"choose one of {known}, with numbers from 0 and rungs of"
-                f" config['ladder'], which is {self.ladder}"
-            )
-            raise ValueError(f"{message}; {remedy}") from None
+            if kind in ("priced", "budget"):
+                number = convert(value, NotNegative, strict=False)
+                return DriverChoice(kind, number=number)
+            if kind == "fixed":
+                return DriverChoice(kind, convert(value, Literal[self.ladder]))
+        except ValidationError:
+            pass
+        known = (
+            f"{', '.join([*DRIVER_VALUES, *added_drivers()])} or a name of"
+            " ms_highway.add_driver"
+        )
+        raise ValueError(
+            f"{message}; choose one of {known}, with numbers from 0 and rungs of"
+            f" config['ladder'], which is {self.ladder}"
+        )
 
     def rule(self, costs: Costs) -> Rule[PerHuman]:
         """Return the rule that chooses the models.
@@ -179,24 +195,27 @@ class RoadSettings(Struct, frozen=True):
         Args:
             costs: of each of `ms_highway.road.traffic_models.TRAFFIC_MODELS`.
         """
-        kind, value = self._choice()
-        if kind == "fixed":
-            return always(human_model(value))
+        choice = self._choice()
+        if choice.kind == "fixed":
+            return always(human_model(choice.name))
+
         # Models that cost less than all later ones.
         seconds = costs.select(self.ladder).each
-        kept = [
-            name
-            for place, name in enumerate(self.ladder)
-            if seconds[place] < min(seconds[place + 1 :], default=np.inf)
-        ]
-        if kind == "budget":
-            # The bounds are gains of the last model; those between are not estimated.
-            kept = list(dict.fromkeys([kept[0], kept[-1]]))
-        ladder = tuple(map(human_model, kept))
-        costs = costs.select(kept)
-        if kind == "budget":
-            return Rule(ladder, costs, Knapsack(value, share=1.0), Bounds())
-        return Rule(ladder, costs, PriceFromFirst(value), Bounds())
+        names = []
+        for place, name in enumerate(self.ladder):
+            if seconds[place] < min(seconds[place + 1 :], default=np.inf):
+                names.append(name)
+
+        if choice.kind != "budget":
+            ladder = tuple(map(human_model, names))
+            chooser = PriceFromFirst(choice.number)
+            return Rule(ladder, costs.select(names), chooser, Bounds())
+
+        # The bounds are gains of the last model; those between are not estimated.
+        names = list(dict.fromkeys([names[0], names[-1]]))
+        ladder = tuple(map(human_model, names))
+        costs = costs.select(names)
+        return Rule(ladder, costs, Knapsack(choice.number, share=1.0), Bounds())
 
     def planning(self, desired_speed: float, frame: float) -> RoadPlanning:
         """Return limits and wishes of plans.
@@ -223,15 +242,16 @@ class RoadSettings(Struct, frozen=True):
             random: source of the key of a driver that remembers, see
                 `ms_highway.add_driver`.
         """
-        kind, value = self._choice()
-        if kind == "added":
-            key = draw_key(HUMAN_DRIVERS[value], random or np.random.default_rng(0))
-            return AddedRoadDriver(planning, value, key)
+        choice = self._choice()
+        if choice.kind == "added":
+            driver = HUMAN_DRIVERS[choice.name]
+            key = draw_key(driver, random or np.random.default_rng(0))
+            return AddedRoadDriver(planning, choice.name, key)
         costs = MEASURED_COSTS
         if isinstance(self.costs, dict):
             seconds = np.array(
                 [self.costs.get(model, 0.0) / 1e3 for model in TRAFFIC_MODELS]
             )
             costs = Costs(0.0, seconds, TRAFFIC_MODELS)
-        budget = value / 1e3 if kind == "budget" else np.inf
+        budget = choice.number / 1e3 if choice.kind == "budget" else np.inf
         return RoadDriver(planning, self.rule(costs), budget=budget)

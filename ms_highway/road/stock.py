@@ -3,9 +3,10 @@ and undo their side effects.
 """
 
 from collections.abc import Callable
-from typing import Any
 
+import gymnasium as gym
 from highway_env.envs import ExitEnv, IntersectionEnv, MergeEnv, RoundaboutEnv, UTurnEnv
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import MultiAgentAction
 from highway_env.envs.common.observation import MultiAgentObservation
 from highway_env.vehicle.behavior import IDMVehicle
@@ -33,39 +34,40 @@ class GoalEnv:
     success: bool
 
 
-def destination_of(env: Any, number: int = 0) -> RobotGoal:
+def destination_of(env: gym.Env, number: int = 0) -> RobotGoal:
     """Return the goal of a controlled vehicle, None without one.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
         number: of the controlled vehicle.
     """
-    env = env.unwrapped
-    if isinstance(env, GoalEnv):
-        return env.goal
-    if isinstance(env, IntersectionEnv):
-        route = getattr(env.controlled_vehicles[number], "route", None) or []
+    base: AbstractEnv = env.unwrapped
+    if isinstance(base, GoalEnv):
+        return base.goal
+    if isinstance(base, IntersectionEnv):
+        route = getattr(base.controlled_vehicles[number], "route", None) or []
         if len(route) > 1:
             return route[-1][1]
-        return env.config["destination"] if number == 0 else None
+        return base.config["destination"] if number == 0 else None
     for kind, node in DESTINATIONS.items():
-        if isinstance(env, kind):
+        if isinstance(base, kind):
             return node
     return None
 
 
-def desired_speed_of(env: Any) -> float:
+def desired_speed_of(env: gym.Env) -> float:
     """Return the speed that an environment rewards most [m/s].
 
     In an intersection it is the speed limit; a `GoalEnv` defines it.
     """
-    config = env.unwrapped.config
-    action = config["action"].get("action_config", config["action"])
-    if isinstance(env.unwrapped, GoalEnv):
-        return env.unwrapped.desired_speed
-    if isinstance(env.unwrapped, IntersectionEnv):
+    base: AbstractEnv = env.unwrapped
+    if isinstance(base, GoalEnv):
+        return base.desired_speed
+    if isinstance(base, IntersectionEnv):
         # 9 m/s are rewarded, but take longer than 13 s.
-        return float(env.unwrapped.vehicle.lane.speed_limit)
+        return float(base.vehicle.lane.speed_limit)
+    config = base.config
+    action = config["action"].get("action_config", config["action"])
     speeds = config.get("reward_speed_range") or action.get("target_speeds")
     if speeds is None:
         usual_speed = 30.0  # where the scene says nothing
@@ -73,7 +75,7 @@ def desired_speed_of(env: Any) -> float:
     return float(max(speeds))
 
 
-def success(env: Any) -> bool | None:
+def success(env: gym.Env) -> bool | None:
     """Return whether the goal of a highway-env environment is reached now; None where
     it has no goal.
 
@@ -83,23 +85,23 @@ def success(env: Any) -> bool | None:
     goal: the road back is 191 m away, more than its 10 s allow. A `GoalEnv` defines
     success.
     """
-    env = env.unwrapped
-    vehicles = env.controlled_vehicles
-    road = env.vehicle.lane_index[:2]
-    if isinstance(env, GoalEnv):
-        there = env.success
-    elif isinstance(env, ExitEnv):
-        there = env._is_success()
-    elif isinstance(env, IntersectionEnv):
-        there = all(env.has_arrived(vehicle) for vehicle in vehicles)
-    elif isinstance(env, RoundaboutEnv):
-        there = road in (("nx", "nxs"), ("nxs", "nxr"))
-    elif isinstance(env, MergeEnv):
+    base: AbstractEnv = env.unwrapped
+    if isinstance(base, GoalEnv):
+        reached = base.success
+    elif isinstance(base, ExitEnv):
+        reached = base._is_success()
+    elif isinstance(base, IntersectionEnv):
+        reached = all(map(base.has_arrived, base.controlled_vehicles))
+    elif isinstance(base, RoundaboutEnv):
+        road = base.vehicle.lane_index[:2]
+        reached = road in (("nx", "nxs"), ("nxs", "nxr"))
+    elif isinstance(base, MergeEnv):
         end_of_v0 = 370.0  # m, where the episode ends
-        there = env.vehicle.position[0] > getattr(env, "end_position", end_of_v0)
+        reached = base.vehicle.position[0] > getattr(base, "end_position", end_of_v0)
     else:
         return None
-    return bool(there) and not any(vehicle.crashed for vehicle in vehicles)
+    has_crashed = any(vehicle.crashed for vehicle in base.controlled_vehicles)
+    return bool(reached) and not has_crashed
 
 
 COPIED_ATTRIBUTES = (
@@ -119,7 +121,7 @@ COPIED_ATTRIBUTES = (
 
 
 def replace_ego(
-    env: Any, make: Callable[[Vehicle], Vehicle], number: int = 0
+    env: gym.Env, make: Callable[[Vehicle], Vehicle], number: int = 0
 ) -> Vehicle:
     """Replace a controlled vehicle by another one in the same state and with the same
     route.
@@ -132,8 +134,8 @@ def replace_ego(
     Returns:
         The new vehicle.
     """
-    env = env.unwrapped
-    old = env.controlled_vehicles[number]
+    base: AbstractEnv = env.unwrapped
+    old = base.controlled_vehicles[number]
     new = make(old)
     new.position = old.position.copy()
     new.heading = old.heading
@@ -145,14 +147,14 @@ def replace_ego(
     if getattr(new, "color", None) is None:
         new.color = VehicleGraphics.EGO_COLOR
     new.on_state_update()
-    env.controlled_vehicles[number] = new
-    env.road.vehicles[env.road.vehicles.index(old)] = new
+    base.controlled_vehicles[number] = new
+    base.road.vehicles[base.road.vehicles.index(old)] = new
 
     # With one agent, the first controlled vehicle acts and observes anyway.
-    if isinstance(env.action_type, MultiAgentAction):
-        env.action_type.agents_action_types[number].controlled_vehicle = new
-    if isinstance(env.observation_type, MultiAgentObservation):
-        env.observation_type.agents_observation_types[number].observer_vehicle = new
+    if isinstance(base.action_type, MultiAgentAction):
+        base.action_type.agents_action_types[number].controlled_vehicle = new
+    if isinstance(base.observation_type, MultiAgentObservation):
+        base.observation_type.agents_observation_types[number].observer_vehicle = new
     return new
 
 

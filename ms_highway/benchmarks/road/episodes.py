@@ -35,7 +35,7 @@ from ms_highway.benchmarks.road.peers import (
 from ms_highway.envs.agents import AGENTS, is_agent, policy_of
 from ms_highway.road import drive
 from ms_highway.road.graphics import show
-from ms_highway.road.settings import DRIVERS, RoadSettings
+from ms_highway.road.settings import DRIVER_VALUES, RoadSettings
 from ms_highway.road.stock import success
 from ms_highway.runtime.files import file_name
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
@@ -91,7 +91,7 @@ def check_driver(name: str) -> None:
             known = ", ".join(
                 [
                     *OTHERS,
-                    *DRIVERS,
+                    *DRIVER_VALUES,
                     f"DRIVER[{INTENTIONS}]",
                     "AGENT.zip",
                     "a name of add_driver or add_agent",
