@@ -45,8 +45,9 @@ class Dynamics:
 
 
 class Motion(NamedTuple):
-    """Positions, directions and speeds of cars, from which rewards are computed; arrays
-    [*cars, *times].
+    """Positions, directions and speeds of cars, arrays [*cars, *times].
+
+    Rewards are computed from them.
 
     Attributes:
         x, y: position [m].
@@ -90,7 +91,8 @@ def facing(states: Float[Array, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
 
 def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
     """Return the deceleration by friction [m/s^2]."""
-    return (speed if dynamics.friction == "linear" else speed**2) * dynamics.drag
+    power = speed if dynamics.friction == "linear" else speed**2
+    return power * dynamics.drag
 
 
 def step(
@@ -108,9 +110,9 @@ def step(
     xp = state.__array_namespace__()
     heading = state[..., 2]
     speed = state[..., 3]
-    yaw_rate = (
-        speed * control[..., 0] if dynamics.steering == "curvature" else control[..., 0]
-    )
+    yaw_rate = control[..., 0]
+    if dynamics.steering == "curvature":
+        yaw_rate = speed * yaw_rate
     acceleration = control[..., 1] - _resistance(dynamics, speed)
     dt = dynamics.time_step
     distance = speed * dt + acceleration * dt**2 / 2
@@ -131,14 +133,13 @@ def rollout(
     state: Float[jax.Array, "*cars 4"],
     controls: Float[jax.Array, "*cars steps 2"],
 ) -> Motion:
-    """Return the motion after each of a sequence of controls, arrays [*cars, steps]
-    (without the initial state).
+    """Return the motion after each of a sequence of controls, arrays [*cars, steps].
 
-    Equals repeated calls of `step`, but computes all steps at once: with linear
-    friction, speeds are weighted sums of accelerations, ``v_k = (1 - drag dt)^k v_0 +
-    dt sum_j (1 - drag dt)^(k-1-j) a_j``, and headings and positions are cumulative
-    sums. A few operations on arrays compile and run many times faster than a chain of
-    small ones.
+    It is without the initial state. It equals repeated calls of `step`, but all steps
+    are computed at once: with linear friction, speeds are weighted sums of
+    accelerations, ``v_k = (1 - drag dt)^k v_0 + dt sum_j (1 - drag dt)^(k-1-j) a_j``,
+    and headings and positions are cumulative sums. A few operations on arrays compile
+    and run many times faster than a chain of small ones.
 
     Raises:
         ValueError: for quadratic friction, which has no such closed form.
@@ -147,15 +148,19 @@ def rollout(
         raise ValueError(
             "a rollout needs linear friction; with quadratic friction, repeat `step`"
         )
-    dt, (omega, acceleration) = dynamics.time_step, jnp.moveaxis(controls, -1, 0)
+    dt = dynamics.time_step
+    omega, acceleration = jnp.moveaxis(controls, -1, 0)
+
+    # Speeds and headings at the start and after each step [*cars, 1 + steps].
     speed = speeds(dynamics, state[..., 3], acceleration)
     before = speed[..., :-1]
-    heading = _accumulate(
-        state[..., 2],
-        (before * omega if dynamics.steering == "curvature" else omega) * dt,
-    )
+    start_heading = state[..., 2]
+    yaw_rate = before * omega if dynamics.steering == "curvature" else omega
+    heading = _accumulate(start_heading, yaw_rate * dt)
     cosine = jnp.cos(heading)
     sine = jnp.sin(heading)
+
+    # d = v dt + a' dt^2 / 2, along the heading before each step.
     distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
     x = _accumulate(state[..., 0], distance * cosine[..., :-1])
     y = _accumulate(state[..., 1], distance * sine[..., :-1])
@@ -168,14 +173,16 @@ def rollout_jacobian(
     car: Float[jax.Array, "4"],
     controls: Float[jax.Array, "steps 2"],
 ) -> Float[jax.Array, "fields steps controls"]:
-    """Return the derivative of a `rollout` of one car, its fields stacked, in the
-    ravelled controls.
+    """Return the derivative of a `rollout` of one car in the ravelled controls.
 
-    It is computed in closed form; JAX would push a direction for every control through
-    the rollout. With ``V_kj = dv_k / da_j`` and the distances d of `step`::
+    The fields of the rollout are stacked. The derivative is in closed form; JAX would
+    push a direction for every control through the rollout. With ``V_kj = dv_k / da_j``
+    and the distances d of `step`::
 
-        dv_k = sum_j V_kj da_j;  dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
-        dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l);  dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
+        dv_k = sum_j V_kj da_j
+        dheading_k = dt sum_{l<k} (v_l domega_l + omega_l dv_l)
+        dx_k = sum_{l<k} (cos_l dd_l - d_l sin_l dheading_l)
+        dy_k = sum_{l<k} (sin_l dd_l + d_l cos_l dheading_l)
 
     With yaw rates, ``dheading_k = dt sum_{l<k} domega_l``. Friction is linear, as in a
     `rollout`.
@@ -184,31 +191,38 @@ def rollout_jacobian(
     steps = len(controls)
     curved = dynamics.steering == "curvature"
     omega, acceleration = controls.T
-    own_controls = np.eye(2 * steps, dtype=np.float32).reshape(
-        steps, 2, 2 * steps
-    )  # of each step
+
+    # Derivatives domega_l and da_l in the ravelled controls [steps, controls].
+    own_controls = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, 2 * steps)
     of_omega = own_controls[:, 0]
     of_acceleration = own_controls[:, 1]
     earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
+
+    # dv_k: accelerations alone change speeds [states, controls].
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)
-    per_acceleration = _shares(steps, left)[:, 1:] * dt
+    per_acceleration = _shares(steps, left)[:, 1:] * dt  # V_kj
     faster = jnp.stack(
         [jnp.zeros_like(per_acceleration), per_acceleration], axis=-1
     ).reshape(1 + steps, -1)
     before = speed[:-1]
     faster_before = faster[:-1]
+
+    # dheading_k [states, controls].
     heading = _accumulate(car[2], (before * omega if curved else omega) * dt)
-    yaw = (
-        before[:, None] * of_omega + omega[:, None] * faster_before
-        if curved
-        else of_omega
-    )
+    if curved:
+        yaw = before[:, None] * of_omega + omega[:, None] * faster_before
+    else:
+        yaw = jnp.asarray(of_omega)
     turned = earlier @ yaw * dt
+
+    # dd_l [steps, controls].
     distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
-    farther = faster_before * dt + (of_acceleration - dynamics.drag * faster_before) * (
-        dt**2 / 2
-    )
+    coasting = faster_before * dt
+    harder = of_acceleration - dynamics.drag * faster_before
+    farther = coasting + harder * (dt**2 / 2)
+
+    # dx_k and dy_k, then the derivatives of cosine and sine.
     cosine = jnp.cos(heading)[:, None]
     sine = jnp.sin(heading)[:, None]
     turning = distance[:, None] * turned[:-1]
@@ -222,28 +236,26 @@ def speeds(
     speed: Float[jax.Array, "*cars"],
     accelerations: Float[jax.Array, "*cars steps"],
 ) -> Float[jax.Array, "*cars states"]:
-    """Return the speeds now and after each of a sequence of accelerations under linear
-    friction, see `rollout`.
+    """Return the speeds now and after each acceleration, under linear friction.
+
+    See `rollout` for the equation.
     """
-    left = (
-        1 - dynamics.drag * dynamics.time_step
-    )  # share of a speed that friction leaves after a step
+    # The share of a speed that friction leaves after a step.
+    left = 1 - dynamics.drag * dynamics.time_step
     return _accumulate(speed, accelerations * dynamics.time_step, left)
 
 
 def _accumulate(
     initial: jax.Array, changes: jax.Array, left: Scalar | None = None
 ) -> jax.Array:
-    """Add the changes of all steps to an initial value. Each step multiplies the sum by
-    ``left``, if given.
+    """Add the changes of all steps to an initial value.
 
-    Unlike a small matrix product, XLA fuses this.
+    Each step multiplies the sum by ``left``, if given. Unlike a small matrix product,
+    XLA fuses this.
     """
     shares = _shares(changes.shape[-1], left)
-    return jnp.sum(
-        shares * jnp.concatenate([initial[..., None], changes], axis=-1)[..., None, :],
-        axis=-1,
-    )
+    terms = jnp.concatenate([initial[..., None], changes], axis=-1)
+    return jnp.sum(shares * terms[..., None, :], axis=-1)
 
 
 def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
@@ -261,8 +273,7 @@ def within_grip(
     control: Float[SameArray, "*cars 2"],
     bend: float | Float[SameArray, ""] = 0.0,
 ) -> Float[SameArray, "*cars 2"]:
-    """Scale a control down to the friction circle, and brake at most to a stop within
-    one step.
+    """Scale a control down to the friction circle, and brake at most to a stop.
 
     Tyres hold ``(v^2 k)^2 + v'^2 <= grip^2``, the friction circle, with the curvature k
     of the path, which includes the road's, and the acceleration v' less friction. The
@@ -276,19 +287,24 @@ def within_grip(
         bend: curvature of the road [1/m]; the coordinates straighten it.
     """
     xp = control.__array_namespace__()
+
+    # The omega of the road's bend, and the lateral acceleration per omega.
     turn = bend if dynamics.steering == "curvature" else bend * speed
     per_omega = speed**2 if dynamics.steering == "curvature" else speed
     friction = _resistance(dynamics, speed)
     omega = control[..., 0] + turn
     acceleration = xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
+
+    # How much of both the tyres hold.
     total = xp.hypot(per_omega * omega, acceleration)
     share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
     return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
 
 
 def coast(dynamics: Dynamics, state: Float[Array, "*cars 4"], steps: int) -> Motion:
-    """Return the motion at constant velocity, arrays [*cars, steps] (without the
-    initial state).
+    """Return the motion at constant velocity, arrays [*cars, steps].
+
+    It is without the initial state.
     """
     now = Motion(*(field[..., None] for field in observe(state)))
     distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
@@ -318,9 +334,8 @@ def recover_control(
     xp = state.__array_namespace__()
     speed = state[..., 3]
     yaw_rate = without_turns(next_state[..., 2] - state[..., 2]) / dynamics.time_step
-    acceleration = (next_state[..., 3] - speed) / dynamics.time_step + _resistance(
-        dynamics, speed
-    )
+    gained = (next_state[..., 3] - speed) / dynamics.time_step
+    acceleration = gained + _resistance(dynamics, speed)
     if dynamics.steering == "yaw_rate":
         return xp.stack([yaw_rate, acceleration], axis=-1)
     moving = speed != 0

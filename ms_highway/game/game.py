@@ -7,7 +7,7 @@ Throughout the core, controls of plans are in units of the planner's ``control_s
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
-from typing import Any
+from typing import TypeVar
 
 import jax
 import numpy as np
@@ -29,6 +29,7 @@ from ms_highway.game.scene import Scene
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import Newton, Planner
 from ms_highway.runtime.arrays import (
+    Array,
     Car,
     Controls,
     HumansControls,
@@ -93,23 +94,18 @@ class Game:
 
     @property
     def observed_payoff(self) -> Payoff:
-        """What trajectories of the robot earn when they are driven, with the reward's
-        jumps.
-        """
+        """What driven trajectories of the robot earn, with the reward's jumps."""
         return Payoff(self.scene, self.robot, None, smooth=False)
 
     def human(self, human: Index = 0) -> Reward:
         """Return the reward of a human."""
-        weights = (
-            self.humans.weights
-            if isinstance(human, int)
-            else jnp.asarray(self.humans.weights)
-        )
+        weights = self.humans.weights
+        if not isinstance(human, int):  # NumPy's arrays cannot be indexed by a tracer
+            weights = jnp.asarray(weights)
         return replace(self.humans, weights=weights[human])
 
     def players(self) -> Reward:
-        """Return the rewards of the robot and of the only human, stacked along a first
-        axis.
+        """Return the rewards of the robot and of the only human, stacked.
 
         Raises:
             ValueError: if they compute different features.
@@ -128,29 +124,29 @@ class Game:
 @cache
 def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
     """Return for each of some cars the numbers of all others, in ascending order."""
-    return np.array(
-        [[other for other in range(cars) if other != car] for car in range(cars)], int
-    ).reshape(cars, -1)
+    numbers = np.tile(np.arange(cars), (cars, 1))  # [cars, cars]
+    return numbers[~np.eye(cars, dtype=bool)].reshape(cars, -1)
 
 
-def each_human(game: Game, function: Callable[[Index], Any]) -> Any:
-    """Compute a function of every human's number, one by one; the results get an axis
-    of humans.
-    """
+Result = TypeVar("Result")
+
+
+def each_human(game: Game, function: Callable[[Index], Result]) -> Result:
+    """Compute a function of every human's number; the results get an axis of humans."""
     return for_numbers(game.number, function)
 
 
 def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
-    """Return the game of the robot with one of the humans, and its state; the other
-    humans count as scripted.
+    """Return the game of the robot with one of the humans, and its state.
+
+    The other humans count as scripted.
     """
     if game.number == 1:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
     robot, rest = jnp.split(jnp.asarray(state), [1])
-    return replace(game, humans=_alone(game.human(human))), jnp.concatenate(
-        [robot, rest[human][None], rest[others]]
-    )
+    alone = replace(game, humans=_alone(game.human(human)))
+    return alone, jnp.concatenate([robot, rest[human][None], rest[others]])
 
 
 def _alone(reward: Reward) -> Reward:
@@ -158,9 +154,7 @@ def _alone(reward: Reward) -> Reward:
 
 
 def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, State]:
-    """Return a human's `pair` and its state from the human's side: car 0 is the human,
-    car 1 the robot.
-    """
+    """Return a human's `pair` from its own side: it is car 0, the robot is car 1."""
     _, state = pair(game, state, human)
     return swap_roles(game, human), jnp.concatenate([state[1::-1], state[2:]])
 
@@ -179,16 +173,15 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
 def constant_velocity(
     game: Game, cars: Float[SameArray, "*cars 4"]
 ) -> Float[SameArray, "*cars steps 2"]:
-    """Return the scaled controls of cars that keep speed and heading over the horizon."""
-    control = (
-        keep_velocity(game.dynamics, cars)[..., None, :] / game.planner.control_scale
-    )
-    return cars.__array_namespace__().repeat(control, game.planner.horizon, axis=-2)
+    """Return the scaled controls that keep speed and heading over the horizon."""
+    xp = cars.__array_namespace__()
+    control = keep_velocity(game.dynamics, cars)[..., None, :]
+    scaled = control / game.planner.control_scale
+    return xp.repeat(scaled, game.planner.horizon, axis=-2)
 
 
 def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
-    """Limit scaled controls to the planner's ``control_limit`` and, if it is given, to
-    its ``grip``.
+    """Limit scaled controls to the planner's ``control_limit`` and ``grip``.
 
     The limit by grip depends on the speed, which is computed from the unlimited
     accelerations: the first control is exact, later ones may exceed the grip by a
@@ -201,43 +194,43 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
         return controls
     bend = 0.0 if game.scene.bend is None else game.scene.bend
     physical = controls * planner.control_scale
-    return (
-        _held(
-            game.dynamics, jnp.asarray(planner.grip), jnp.asarray(bend), car, physical
-        )
-        / planner.control_scale
-    )
+    grip = jnp.asarray(planner.grip)
+    held = _within_grip(game.dynamics, grip, jnp.asarray(bend), car, physical)
+    return held / planner.control_scale
 
 
 @jax.jit
-def _held(
+def _within_grip(
     dynamics: Dynamics,
     grip: jax.Array,
     bend: jax.Array,
     car: Car,
     controls: Float[jax.Array, "*batch steps 2"],
 ) -> Float[jax.Array, "*batch steps 2"]:
+    """Limit controls at the speeds that they would lead to without a limit."""
     now = jnp.broadcast_to(car[3], controls.shape[:-2])
     speed = jnp.maximum(speeds(dynamics, now, controls[..., 1])[..., :-1], 0.0)
     return within_grip(dynamics, grip, speed, controls, bend)
 
 
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
-    """Return car 0's cost of not keeping its present velocity, ``sum comfort (u -
-    u_keep)^2 / 2``, u scaled.
+    """Return car 0's cost of not keeping its present velocity.
+
+    It is ``sum comfort (u - u_keep)^2 / 2`` of scaled controls u.
 
     The ease of `Newton` is added to the weights of comfort. For steering, it is
     multiplied by the square of the lateral acceleration that a curvature causes,
     relative to the one at the speed limit: a standing car steers for nothing.
     """
     solver = game.planner.solver
-    kept = keep_velocity(game.dynamics, car) / game.planner.control_scale
+    keeping = keep_velocity(game.dynamics, car) / game.planner.control_scale
     comfort = game.robot.comfort
     if isinstance(solver, Newton):
+        # Lateral acceleration is v^2 omega with curvatures, v omega with yaw rates.
         pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
         steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
         comfort = comfort + solver.ease * jnp.stack([steering, jnp.ones_like(pace)])
-    return jnp.sum(comfort * (controls - kept) ** 2) / 2
+    return jnp.sum(comfort * (controls - keeping) ** 2) / 2
 
 
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
@@ -250,21 +243,21 @@ def move_jacobian(
 ) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
     scale = jnp.asarray(game.planner.control_scale)
-    return rollout_jacobian(game.dynamics, car, controls * scale) * jnp.tile(
-        scale, len(controls)
-    )
+    jacobian = rollout_jacobian(game.dynamics, car, controls * scale)
+    return jacobian * jnp.tile(scale, len(controls))
 
 
 def move_all(
-    game: Game, cars: State, controls: Float[Any, "cars steps 2"]
+    game: Game, cars: State, controls: Float[Array, "cars steps 2"]
 ) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
     return for_rows(partial(move, game), cars, controls)
 
 
 def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectories:
-    """Return the trajectories of some cars, then those of all cars after them, which
-    keep their velocity.
+    """Return the trajectories of some cars, then those of the scripted cars after them.
+
+    Scripted cars keep their velocity.
 
     Args:
         game: with the dynamics.
