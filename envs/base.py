@@ -10,7 +10,7 @@ import numpy as np
 from highway_env.road.road import Road
 from jaxtyping import Int
 
-from ms_highway.choice.belief import first_belief
+from ms_highway.choice.belief import equal_probabilities
 from ms_highway.choice.rule import in_order
 from ms_highway.envs.configuration import Changes, Config, as_dictionary, read_own
 from ms_highway.envs.configured import not_simulated
@@ -347,7 +347,7 @@ class InteractionEnv(GameEnv):
             counted = self.counted.of_models(step.counted_models) if step else 0.0
             own["counted_seconds"] = counted
         if controller.belief:
-            belief = step.belief if step else first_belief(settings.humans)
+            belief = step.belief if step else equal_probabilities(settings.humans)
             own["belief"] = read_only(belief)
 
         # The agent's choice needs no gains.

@@ -291,7 +291,7 @@ class ControllerSettings:
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that estimate gains; None without any."""
         return (
-            self.estimator.learned(start)
+            self.estimator.values_for(start)
             if isinstance(self.estimator, LearnedValue)
             else None
         )

@@ -20,7 +20,7 @@ from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import title
 from ms_highway.loop.controller import ControlStep
 from ms_highway.planning.ladders import PACKAGE_MODELS, cheapest_first
-from ms_highway.runtime.arrays import Belief, Car, Controls
+from ms_highway.runtime.arrays import Car, Controls, ModelProbabilities
 
 
 @dataclass(frozen=True)
@@ -253,7 +253,7 @@ class InteractionViewer(Viewer):
             meaning = model_meaning(step.model)
             self._write(meaning, layout.small, topleft=(left, top + 8))
 
-    def _draw_beliefs(self, belief: Belief, top: int) -> None:
+    def _draw_beliefs(self, belief: ModelProbabilities, top: int) -> None:
         """Draw a bar for every human, behind its number: the probabilities of the
         models, side by side.
         """

@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike
 
 from ms_highway.choice.rule import NOT_ESTIMATED
 from ms_highway.loop.controller import ControlStep
-from ms_highway.runtime.arrays import Belief
+from ms_highway.runtime.arrays import ModelProbabilities
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class InteractionInfo(TypedDict, total=False):
     ``humans_tom``; among several humans.
     """
 
-    belief: Belief
+    belief: ModelProbabilities
     """Probability of naive, idm, turn and tom for every human, [humans, 4]; with a
     controller's ``belief``.
     """

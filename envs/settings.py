@@ -10,7 +10,8 @@ import numpy as np
 from msgspec import Meta, Struct
 from msgspec.structs import force_setattr
 
-from ms_highway.choice.rule import PUBLISHED_COSTS, SHIPPED_COSTS, Start, shipped_kind
+from ms_highway.choice.rule import Start
+from ms_highway.choice.shipped import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
 from ms_highway.data.learned_reward import shipped
 from ms_highway.envs.configuration import refuse_unknown
 from ms_highway.envs.controllers import KEYBOARD, ControllerSettings

@@ -28,7 +28,7 @@ from ms_highway.envs.spaces import (
 from ms_highway.game.features import check_own_features
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import (
-    Now,
+    EpisodeCarry,
     StepInputs,
     begin_episodes,
     checked_records,
@@ -163,7 +163,7 @@ class EnvState(NamedTuple):
         step: number of steps done in each.
     """
 
-    now: Now
+    now: EpisodeCarry
     episodes: Episodes
     step: Int[Array, "episodes"]
 

@@ -18,7 +18,7 @@ from ms_highway.envs.base import InteractionEnv
 from ms_highway.envs.configuration import Config, checked_seed, refuse_unknown
 from ms_highway.envs.simulation import EnvState, FunctionalEnv, stack_episodes
 from ms_highway.loop.batch import (
-    Now,
+    EpisodeCarry,
     StepInputs,
     begin_episodes,
     checked_records,
@@ -276,7 +276,7 @@ class InteractionVectorEnv(VectorEnv):
         rounds = ceil(self.num_envs / (self._groups * loop.together))
         groups = np.resize(order, (rounds, self._groups, loop.together)).swapaxes(0, 1)
 
-        def advance(places: np.ndarray) -> tuple[Now, Records]:
+        def advance(places: np.ndarray) -> tuple[EpisodeCarry, Records]:
             own, now, given = jax.tree.map(
                 lambda part: np.asarray(part)[places], everything
             )
@@ -342,8 +342,8 @@ _begin = jit_quickly(begin_episodes)
 
 @jit_quickly
 def _step_chunks(
-    loop: Loop, own: Episodes, now: Now, given: StepInputs
-) -> tuple[Now, Records]:
+    loop: Loop, own: Episodes, now: EpisodeCarry, given: StepInputs
+) -> tuple[EpisodeCarry, Records]:
     """Step environments [chunks, together], chunk by chunk."""
     return jax.lax.map(lambda items: step_episodes(loop, *items), (own, now, given))
 

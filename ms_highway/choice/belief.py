@@ -1,17 +1,19 @@
-"""Infer from each human's controls which model predicts this human best: interacting multiple models.
+"""Infer from each human's controls which model predicts this human best.
 
-A human follows one model at a time and may change it from step to step. As states are observed exactly, the filter of
-Blom and Bar-Shalom (1988) is the forward pass of a hidden Markov model::
+A human follows one model at a time and may change it from step to step (interacting
+multiple models). As states are observed exactly, the filter of Blom and Bar-Shalom
+(1988) is the forward pass of a hidden Markov model::
 
-    p(m) <- sum over m' of P(m | m') p(m'),    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
+    p(m) <- sum over m' of P(m | m') p(m')
+    p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum
 
-where u is the observed control, and u_m the control that model m predicts for this step, see
-`next_controls`.
+where u is the observed control, and u_m the control that model m predicts for this
+step, see `next_controls`.
 """
 
-from dataclasses import replace
-from typing import Any
+from dataclasses import dataclass, replace
 
+import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Bool, Float
@@ -30,39 +32,48 @@ from ms_highway.planning.ladders import PACKAGE_MODELS
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import (
     Array,
-    Belief,
     Control,
     Controls,
     Index,
+    ModelIndex,
+    ModelProbabilities,
     SameArray,
     State,
 )
 
-LOOKAHEAD = 8  # steps of humans' plans at most; only the first one counts
+RESPONDING = [ModelIndex(PACKAGE_MODELS.index(name)) for name in ("turn", "tom")]
+"""Models in which the human plans for its reward."""
 
-STAY_PROBABILITY = 0.98
-"""Probability that a human keeps its model for 0.1 s. On average, a human keeps it for
-five seconds.
-"""
-CONTROL_NOISE = (0.005, 1.0)
-"""Standard deviations of a human's controls from those of its model: curvature [1/m],
-acceleration [m/s^2].
-"""
-MIN_PROBABILITY = 1e-3
-"""Lower bound on the probability of each model. With it, the filter soon detects a
-change of model.
-"""
-MIN_RESPONSE = (
-    0.3  # least probability of `RESPONDING` at which plans count on a human's response
-)
-RESPONDING = [
-    PACKAGE_MODELS.index(name) for name in ("turn", "tom")
-]  # in both, the human plans for its reward
+
+@dataclass(frozen=True)
+class InferenceSettings:
+    """Set how the models that humans follow are inferred."""
+
+    lookahead: int = 8
+    """Steps of humans' plans at most; only the first one counts."""
+
+    stay_probability: float = 0.98
+    """Probability that a human keeps its model for 0.1 s. On average, a human keeps it
+    for five seconds."""
+
+    control_noise: tuple[float, float] = (0.005, 1.0)
+    """Standard deviations of a human's controls from those of its model: curvature
+    [1/m], acceleration [m/s^2]."""
+
+    min_probability: float = 1e-3
+    """Lower bound on the probability of each model. With it, the filter soon detects a
+    change of model."""
+
+    min_response: float = 0.3
+    """Least probability of `RESPONDING` at which plans count on a human's response."""
+
+
+INFERENCE = InferenceSettings()
 
 
 def next_controls(
     game: Game, state: State, robot: Controls
-) -> Float[Any, "humans models 2"]:
+) -> Float[jax.Array, "humans models 2"]:
     """Return the next control of every human under each model, unscaled.
 
     * naive keeps the velocity.
@@ -70,107 +81,127 @@ def next_controls(
       its desired speed is the limit.
     * turn and tom plan for the human's reward, as the robot believes it. Under turn,
       the robot keeps its velocity, under tom, it follows its plan. All others keep
-      their velocity. Humans plan by gradient steps over `LOOKAHEAD` steps at most: in
-      Dense Merge this is closer to how they drive than shorter plans by Newton steps.
+      their velocity. Humans plan by gradient steps over some steps at most, see
+      `InferenceSettings`: in Dense Merge this is closer to how they drive than shorter
+      plans by Newton steps.
 
     Args:
         game: with the humans' rewards as the robot believes them.
         state: all cars.
         robot: scaled controls that the robot follows from this state on.
     """
+    shortened = game.planner.horizon > INFERENCE.lookahead
+    game = _with_short_plans(game)
     planner = game.planner
-    shortened = planner.horizon > LOOKAHEAD
-    if shortened or not isinstance(planner.solver, Ascent):
-        steps = min(planner.horizon, LOOKAHEAD)
-        iterations, usual = gradient_steps(PlanningSettings(steps))
-        length = jnp.minimum(usual, longest_step(steps, game.dynamics.time_step))
-        solver = Ascent(length, iterations, smooth=planner.solver.smooth)
-        planner = replace(planner, horizon=steps, solver=solver)
-    game = replace(game, planner=planner)
 
-    def predict(human: Index) -> Float[Any, "models 2"]:
-        own, seen = swap_players(game, state, human)
-        start = (
-            constant_velocity(own, seen[0])
-            if shortened
-            else jnp.zeros((planner.horizon, 2))
-        )
+    def predict(human: Index) -> Float[jax.Array, "models 2"]:
+        human_game, seen = swap_players(game, state, human)
+        if shortened:
+            start = constant_velocity(human_game, seen[0])
+        else:
+            start = jnp.zeros((planner.horizon, 2))
 
         def answer(robot: Controls) -> Control:
-            solution = plan_against(own, seen, robot[None], Plan(start, robot[None]))
+            """Return the first control of the human's plan against these controls."""
+            first_plan = Plan(start, robot[None])
+            solution = plan_against(human_game, seen, robot[None], first_plan)
             return solution.plan.robot[0] * planner.control_scale
 
-        answers = [
-            answer(each)
-            for each in (constant_velocity(own, seen[1]), robot[: planner.horizon])
-        ]
-        following = following_control(*pair(game, state, human))
-        return jnp.stack([keep_velocity(game.dynamics, seen[0]), following, *answers])
+        robot_keeps_velocity = constant_velocity(human_game, seen[1])
+        robot_follows_plan = robot[: planner.horizon]
+        turn = answer(robot_keeps_velocity)
+        tom = answer(robot_follows_plan)
+        idm = following_control(*pair(game, state, human))
+        naive = keep_velocity(game.dynamics, seen[0])
+        return jnp.stack([naive, idm, turn, tom])
 
     return each_human(game, predict)
 
 
-def updated_belief(
-    belief: Float[SameArray, "*humans models"],
+def _with_short_plans(game: Game) -> Game:
+    """Return the game with plans of gradient steps over a short horizon."""
+    planner = game.planner
+    steps = min(planner.horizon, INFERENCE.lookahead)
+    if steps == planner.horizon and isinstance(planner.solver, Ascent):
+        return game
+    iterations, usual = gradient_steps(PlanningSettings(steps))
+    length = jnp.minimum(usual, longest_step(steps, game.dynamics.time_step))
+    solver = Ascent(length, iterations, smooth=planner.solver.smooth)
+    return replace(game, planner=replace(planner, horizon=steps, solver=solver))
+
+
+def updated_probabilities(
+    probabilities: Float[SameArray, "*humans models"],
     predicted: Float[SameArray, "*humans models 2"],
     observed: Float[SameArray, "*humans 2"],
     time_step: float | Float[SameArray, ""],
 ) -> Float[SameArray, "*humans models"]:
-    """Return the probabilities of the models after a step. A control that is not finite
-    favours no model.
+    """Return the probabilities of the models after a step.
+
+    A control that is not finite favours no model.
 
     Args:
-        belief: probabilities before the step, with sum 1.
+        probabilities: before the step, with sum 1.
         predicted: control that each model predicts for the step, unscaled.
         observed: control of the human in the step, unscaled.
         time_step: duration of the step [s].
     """
-    xp = belief.__array_namespace__()
-    models = belief.shape[-1]
-    keeps = STAY_PROBABILITY ** (time_step / 0.1)
-    mixed = keeps * belief + (1 - keeps) / models
-    off = (predicted - observed[..., None, :]) / xp.asarray(CONTROL_NOISE)
-    log_likelihood = -xp.sum(off**2, axis=-1) / 2
+    xp = probabilities.__array_namespace__()  # of NumPy or JAX
+
+    # p(m) <- sum over m' of P(m | m') p(m'): a human may have changed its model.
+    models = probabilities.shape[-1]
+    keeps = INFERENCE.stay_probability ** (time_step / 0.1)
+    mixed = keeps * probabilities + (1 - keeps) / models
+
+    # log N(u; u_m, diag(noise^2)), without the terms that are the same for all models.
+    noise = xp.asarray(INFERENCE.control_noise)
+    error = (predicted - observed[..., None, :]) / noise
+    log_likelihood = -xp.sum(error**2, axis=-1) / 2
     known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
     log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
-    joint = mixed * xp.exp(
-        log_likelihood - xp.max(log_likelihood, axis=-1, keepdims=True)
-    )
-    joint = xp.maximum(
-        joint / xp.sum(joint, axis=-1, keepdims=True), xp.asarray(MIN_PROBABILITY)
-    )
-    return joint / xp.sum(joint, axis=-1, keepdims=True)
+
+    # p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum, with no model excluded.
+    highest = xp.max(log_likelihood, axis=-1, keepdims=True)
+    joint = mixed * xp.exp(log_likelihood - highest)
+    normalised = joint / xp.sum(joint, axis=-1, keepdims=True)
+    bounded = xp.maximum(normalised, xp.asarray(INFERENCE.min_probability))
+    return bounded / xp.sum(bounded, axis=-1, keepdims=True)
 
 
-def first_belief(humans: int) -> Belief:
-    """Return equal probabilities of all `PACKAGE_MODELS`, as nothing was observed yet."""
-    return np.full((humans, len(PACKAGE_MODELS)), 1 / len(PACKAGE_MODELS), np.float32)
+def equal_probabilities(humans: int) -> ModelProbabilities:
+    """Return equal probabilities of all `PACKAGE_MODELS`: nothing was observed yet."""
+    models = len(PACKAGE_MODELS)
+    return np.full((humans, models), 1 / models, np.float32)
 
 
-def infer(
-    game: Game, belief: Belief, before: State, after: State, robot: Controls
-) -> Belief:
+def infer_models(
+    game: Game,
+    probabilities: ModelProbabilities,
+    before: State,
+    after: State,
+    robot: Controls,
+) -> ModelProbabilities:
     """Return the probabilities of the models after a step.
 
     Args:
         game: game with the rewards that the robot believes the humans to have.
-        belief: probabilities before the step.
+        probabilities: before the step.
         before: all cars before the step.
         after: all cars after it.
         robot: scaled controls of the robot's plan for this step and the following ones.
     """
-    last = 1 + game.number
-    observed = recover_control(game.world, before[1:last], after[1:last])
-    return updated_belief(
-        belief,
-        next_controls(game, before, robot),
-        observed,
-        jnp.asarray(game.world.time_step),
-    )
+    humans = slice(1, 1 + game.number)
+    observed = recover_control(game.world, before[humans], after[humans])
+    predicted = next_controls(game, before, robot)
+    time_step = jnp.asarray(game.world.time_step)
+    return updated_probabilities(probabilities, predicted, observed, time_step)
 
 
-def counted_on(belief: Float[SameArray, "humans models"]) -> Bool[Array, "humans"]:
-    """Return which humans can be counted on to respond: those whose controls turn and
-    tom explain.
+def likely_to_respond(
+    probabilities: Float[SameArray, "humans models"],
+) -> Bool[Array, "humans"]:
+    """Return which humans plans may count on to respond.
+
+    They are those whose controls turn and tom explain.
     """
-    return belief[:, RESPONDING].sum(axis=1) >= MIN_RESPONSE
+    return probabilities[:, RESPONDING].sum(axis=1) >= INFERENCE.min_response

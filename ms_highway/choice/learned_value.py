@@ -1,10 +1,16 @@
-"""Choose models by a learned value of computation (Russell and Wefald 1991; Callaway et
-al. 2018); keep it in files.
+"""Choose models by a learned value of computation, and keep it in files.
 
-From the situation of a human, networks estimate how much more the robot earns per step
-if a rung, instead of the cheapest one, predicts this human, while the same rung
-predicts all nearer humans. A gap may open only if two humans yield together. Therefore,
+The value of computation (Russell and Wefald 1991; Callaway et al. 2018) of a rung is
+how much more the robot earns per step if this rung, instead of the cheapest one,
+predicts a human, while the same rung predicts all nearer humans. Networks estimate it
+from the situation of the human (`ms_highway.choice.situation`); several of them, so
+that their disagreement tells how doubtful an estimate is.
+
+A gap may open only if two humans yield together. Therefore,
 `ms_highway.choice.choosers.PriceTogether` chooses for the nearest humans together.
+
+`Values` are what was learned, as it stands in files; `LearnedValue` is the estimator
+that a rule gets of them, for the ladder of an episode.
 """
 
 import json
@@ -18,14 +24,13 @@ from pathlib import Path
 from typing import Annotated, Any, TypeAlias, TypedDict
 
 import jax
-import msgspec
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 from msgspec import Meta
 
-from ms_highway.choice.budget import LITTLE_GAIN
-from ms_highway.choice.choosers import TOGETHER, PriceTogether
+from ms_highway.choice.budget import Budget
+from ms_highway.choice.choosers import PriceTogether
 from ms_highway.choice.rule import (
     FROM_START,
     NOT_ESTIMATED,
@@ -35,8 +40,8 @@ from ms_highway.choice.rule import (
     Memory,
     Rule,
     Start,
-    shipped_kind,
 )
+from ms_highway.choice.shipped import VALUE_FILES, SceneKind, shipped_kind
 from ms_highway.choice.situation import describe, description_names, nearness
 from ms_highway.game.scenario import Semantics
 from ms_highway.planning.costs import Costs
@@ -45,19 +50,49 @@ from ms_highway.runtime.arrays import Array, Scalar, Structure, read, read_only
 from ms_highway.runtime.files import read_arrays, reading, replacing
 from ms_highway.runtime.sources import digest
 
-Network: TypeAlias = tuple[
-    tuple[Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]],
-    ...,
+SHIPPED_VALUES = "shipped"
+"""Name of the values that come with the package."""
+
+
+# Networks
+
+Layer: TypeAlias = tuple[
+    Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]
 ]
-"""Weights and biases of each layer of several networks; all layers but the last are
-followed by tanh.
-"""
+"""Weights and biases of one layer of several networks."""
 
-DOUBT_MARGIN = 0.5  # in standard deviations among the networks
-MIN_NOISE = LITTLE_GAIN  # least standard deviation of a gain
+Network: TypeAlias = tuple[Layer, ...]
+"""Layers of several networks; all layers but the last are followed by tanh."""
 
 
-File = Annotated[
+def outputs(
+    network: Network, inputs: Float[jax.Array, "inputs"]
+) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
+    """Return what each network expects for the same inputs, and how sure it is.
+
+    The second result are numbers from which `noise` computes standard deviations.
+    """
+    *hidden, (weights, biases) = network
+    values = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
+    for layer_weights, layer_biases in hidden:
+        sums = jnp.einsum("ni,nio->no", values, layer_weights)
+        values = jnp.tanh(sums + layer_biases)
+    both = jnp.einsum("ni,nio->no", values, weights) + biases
+    means, spreads = jnp.split(both, 2, axis=-1)
+    return means, spreads
+
+
+def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Return standard deviations of outcomes from the spreads of `outputs`.
+
+    None is smaller than a gain that counts as nothing.
+    """
+    return Budget.little_gain + jax.nn.softplus(spreads)
+
+
+# The estimator
+
+ValuesFile = Annotated[
     str | None, Meta(description="say 'shipped' or name a file of learned values")
 ]
 
@@ -77,15 +112,15 @@ class LearnedValue(Estimator[GameEvidence]):
         nearest: number of the nearest humans for whom gains are estimated; None for all
             (static).
         network: networks that estimate the gains over the first rung from
-            `ms_highway.choice.situation.describe`.
+            `ms_highway.choice.situation.describe`; none outside an episode.
         centre, spread: mean and standard deviation by which the inputs of the networks
-            are standardised.
+            are standardised; None outside an episode.
     """
 
-    values: File = field(default=None, metadata={"static": True})
-    margin: Scalar = field(default=DOUBT_MARGIN, metadata=FROM_START)
+    values: ValuesFile = field(default=None, metadata={"static": True})
+    margin: Scalar = field(default=0.5, metadata=FROM_START)
     nearest: int | None = field(
-        default=TOGETHER, metadata={"static": True} | FROM_START
+        default=PriceTogether.most_humans, metadata={"static": True} | FROM_START
     )
     network: Network = field(default=(), metadata=FROM_START)
     centre: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
@@ -95,37 +130,34 @@ class LearnedValue(Estimator[GameEvidence]):
         if self.values and self.values != SHIPPED_VALUES:
             load_values(self.values)
 
-    def learned(self, start: Start) -> "Values":
-        """Return the values of the file, or the shipped values for a number of humans
-        and semantics.
+    def values_for(self, start: Start) -> "Values":
+        """Return the values of the file, or the shipped values for a kind of scene.
 
         Among several humans, those of physical semantics know fewer models; longer
         ladders take those of the paper's.
         """
-        found = load_values(
-            self.values or SHIPPED_VALUES, shipped_kind(start.semantics, start.humans)
-        )
-        if (
-            not self.values
-            and start.humans > 1
-            and not {model.name for model in start.ladder} <= {*found.ladder}
-        ):
+        kind = shipped_kind(start.semantics, start.humans)
+        found = load_values(self.values or SHIPPED_VALUES, kind)
+        names = {model.name for model in start.ladder}
+        if not self.values and start.humans > 1 and not names <= {*found.ladder}:
             return load_values(SHIPPED_VALUES, "several")
         return found
 
     def at_start(self, start: Start) -> "LearnedValue":
-        """Return the estimator with the networks of its values, for the ladder of an
-        episode.
+        """Return the estimator with the networks of its values.
+
+        Args:
+            start: of an episode; its ladder is that of the estimator.
 
         Raises:
             ValueError: see `Values.estimator`.
         """
-        networks = self.learned(start).estimator(start.ladder)
+        networks = self.values_for(start).estimator(start.ladder)
         return replace(networks, margin=self.margin, nearest=self.nearest)
 
     def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
         """Estimate by the state after the last step."""
-        gains = jnp.full(memory.last_check.shape, NOT_ESTIMATED)
+        gains = jnp.full(memory.last_check.shape, NOT_ESTIMATED)  # [humans, rungs]
         if gains.shape[1] == 1:
             return Estimate(gains, jnp.bool(False))
 
@@ -135,73 +167,55 @@ class LearnedValue(Estimator[GameEvidence]):
         nearest = jnp.argsort(nearness(game, after))[: self.nearest]
         assert self.centre is not None
         assert self.spread is not None
-        inputs = (describe(game, after, nearest) - self.centre) / self.spread
-        means, _ = jax.vmap(partial(outputs, self.network))(
-            inputs
-        )  # [nearest, networks, rungs above the first]
+        described = describe(game, after, nearest)  # [nearest, inputs]
+        inputs = (described - self.centre) / self.spread
+        means, _ = jax.vmap(partial(outputs, self.network))(inputs)
 
-        # Their mean less the doubt, 0 for the first rung.
-        expected, doubts = (
-            jnp.pad(part(means, axis=1), ((0, 0), (1, 0)))
-            for part in (jnp.mean, jnp.std)
-        )
+        # Their mean and their disagreement, 0 for the first rung.
+        expected = _with_first_rung(jnp.mean(means, axis=1))  # [nearest, rungs]
+        doubts = _with_first_rung(jnp.std(means, axis=1))
+
+        # A doubtful gain counts less. Situations without finite numbers have none.
         known = jnp.isfinite(expected).all(axis=1, keepdims=True)
         cautious = expected - self.margin * doubts
         gains = gains.at[nearest].set(jnp.where(known, cautious, NOT_ESTIMATED))
         return Estimate(gains, ~known.all())
 
 
-def outputs(
-    network: Network, inputs: Float[jax.Array, "inputs"]
-) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
-    """Return what each network expects for the same inputs, and the numbers from which
-    `noise` computes spreads.
-    """
-    *hidden, (weights, biases) = network
-    inputs = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
-    for layer_weights, layer_biases in hidden:
-        inputs = jnp.tanh(
-            jnp.einsum("ni,nio->no", inputs, layer_weights) + layer_biases
-        )
-    means, spreads = jnp.split(
-        jnp.einsum("ni,nio->no", inputs, weights) + biases, 2, axis=-1
-    )
-    return means, spreads
+def _with_first_rung(
+    above_first: Float[jax.Array, "humans above"],
+) -> Float[jax.Array, "humans rungs"]:
+    """Return numbers of all rungs, 0 for the first, given those of the rungs above."""
+    return jnp.pad(above_first, ((0, 0), (1, 0)))
 
 
-def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
-    """Return standard deviations of outcomes from the second half of a network's
-    `outputs`.
-    """
-    return MIN_NOISE + jax.nn.softplus(spreads)
+# What was learned
 
 
-# Files of learned values
+@dataclass(frozen=True)
+class ValuesFormat:
+    """Set the form of files of learned values, and the limits of their numbers."""
 
-SHIPPED_VALUES = "shipped"
-"""Name of the values that come with the package."""
+    version: int = 3
+    """Version of the form; files of another one are refused."""
 
-SHIPPED_FILES = {
-    "pair": "values.npz",
-    "physical": "physical_values.npz",
-    "several": "several_values.npz",
-    "physical several": "crowd_values.npz",
-}
-"""Files that come with the package, by kind of scene, see
-`ms_highway.choice.rule.shipped_kind`.
-"""
+    max_bytes: int = 2**24
+    """Largest size of an unpacked file; the package's files have a hundredth."""
 
-VERSION = 3  # of the form of files
-REMEDY = "learn values with `ms-highway values learn`"
-ALTERNATIVES = (
-    f"choose another controller, such as switching at a lambda of 0.1, or {REMEDY}"
-)
-MAX_BYTES = 2**24  # of an unpacked file; the package's files have a hundredth
-MIN_SPREAD, MAX_NUMBER = (
-    1e-9,
-    1e9,
-)  # bounds of `spread` that rule out overflow; the second also bounds `centre`
-MAX_WEIGHT = 1e3  # of networks; those of the package are below 1
+    min_spread: float = 1e-9
+    """Least standard deviation of an input; it rules out overflow."""
+
+    max_number: float = 1e9
+    """Largest mean or standard deviation of an input; it rules out overflow."""
+
+    max_weight: float = 1e3
+    """Largest weight or bias of a network; those of the package are below 1."""
+
+    remedy: str = "learn values with `ms-highway values learn`"
+    """What to do about a file that cannot be used, for messages."""
+
+
+VALUES_FORMAT = ValuesFormat()
 
 
 @dataclass(frozen=True)
@@ -239,64 +253,94 @@ class Values:
             )
         if self.inputs != description_names():
             raise ValueError("the networks have the inputs of another version")
-        layers = [part for layer in self.network for part in layer]
-        shapes = [np.shape(part) for part in layers]
+        self._check_shapes()
+        self._check_numbers()
+
+    def _check_shapes(self) -> None:
+        """Check that the layers fit each other, the inputs and the ladder.
+
+        For each rung above the first, the last layer gives a mean and a spread.
+        """
+        shapes = [np.shape(part) for layer in self.network for part in layer]
         networks = shapes[0][:1] if shapes else ()
+
+        # Numbers of inputs and outputs of the layers, as the shapes of biases tell.
         sizes = [len(self.inputs)]
-        sizes += [size for shape in shapes[1::2] for size in shape[-1:]]
-        wanted = [
-            networks + shape
-            for one, other in pairwise(sizes)
-            for shape in ((one, other), (other,))
-        ]
-        if shapes != wanted or 0 in networks or sizes[-1] != 2 * (len(self.ladder) - 1):
+        for bias_shape in shapes[1::2]:
+            sizes += bias_shape[-1:]
+
+        expected = []
+        for inputs, outputs in pairwise(sizes):
+            expected += [(*networks, inputs, outputs), (*networks, outputs)]
+
+        last = 2 * (len(self.ladder) - 1)
+        if shapes != expected or 0 in networks or sizes[-1] != last:
             raise ValueError(
                 f"the networks have layers of shapes {shapes}, not those for"
                 f" {len(self.ladder)} models"
             )
-        standard = np.shape(self.centre), np.shape(self.spread)
-        if set(standard) != {(sizes[0],)} or not all(
-            (np.abs(part) <= MAX_NUMBER).all() for part in (self.centre, self.spread)
-        ):
-            raise ValueError(
-                f"centre or spread has a number beyond {MAX_NUMBER:g}, or not one for"
-                " each input"
-            )
-        if not all((np.abs(part) <= MAX_WEIGHT).all() for part in layers):
-            raise ValueError(
-                f"the weights of the networks are beyond {MAX_WEIGHT:g}, or not finite"
-            )
-        if np.min(self.spread) < MIN_SPREAD:
-            raise ValueError(f"spreads are below {MIN_SPREAD:g}")
+
+    def _check_numbers(self) -> None:
+        """Check that all numbers are within the limits of `ValuesFormat`."""
+        limits = VALUES_FORMAT
+        for scale in (self.centre, self.spread):
+            one_each = np.shape(scale) == (len(self.inputs),)
+            if not one_each or not (np.abs(scale) <= limits.max_number).all():
+                raise ValueError(
+                    f"centre or spread has a number beyond {limits.max_number:g}, or"
+                    " not one for each input"
+                )
+        for layer in self.network:
+            if not all((np.abs(part) <= limits.max_weight).all() for part in layer):
+                raise ValueError(
+                    f"the weights of the networks are beyond {limits.max_weight:g}, or"
+                    " not finite"
+                )
+        if np.min(self.spread) < limits.min_spread:
+            raise ValueError(f"spreads are below {limits.min_spread:g}")
 
     def estimator(self, models: tuple[HumanModel, ...]) -> LearnedValue:
-        """Return the estimator on a ladder of learned models that begins with the
-        cheapest of them.
+        """Return the estimator on a ladder of learned models.
+
+        Args:
+            models: that were learned; the first is the cheapest of those learned.
 
         Raises:
             ValueError: if values of a model were not learned, or the ladder begins with
                 another model.
         """
         names = [model.name for model in models]
+        self._check_ladder(names)
+
+        # Keep the outputs of these models: their means, then their spreads.
+        gains = len(self.ladder) - 1
+        means = [self.ladder.index(name) - 1 for name in names[1:]]
+        spreads = [gains + place for place in means]
+        kept = means + spreads
+        *hidden, (weights, biases) = self.network
+        network = (*hidden, (weights[..., kept], biases[..., kept]))
+        return LearnedValue(network=network, centre=self.centre, spread=self.spread)
+
+    def _check_ladder(self, names: list[str]) -> None:
+        """Check that values of these models were learned over the first of them."""
         message = (
             f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
         )
-        if unknown := [name for name in names if name not in self.ladder]:
+        alternatives = (
+            "choose another controller, such as switching at a lambda of 0.1, or"
+            f" {VALUES_FORMAT.remedy}"
+        )
+        unknown = [name for name in names if name not in self.ladder]
+        if unknown:
             raise ValueError(
-                f"{message}, without {unknown[0]!r}; {ALTERNATIVES} --set"
+                f"{message}, without {unknown[0]!r}; {alternatives} --set"
                 f" ladder={','.join(names)}"
             )
         if names[0] != self.ladder[0]:
             raise ValueError(
                 f"{message}, over {self.ladder[0]!r}; begin the ladder with it,"
-                f" {ALTERNATIVES}"
+                f" {alternatives}"
             )
-        gains = len(self.ladder) - 1
-        places = [self.ladder.index(name) - 1 for name in names[1:]]
-        places += [gains + place for place in places]
-        *hidden, (weights, biases) = self.network
-        network = (*hidden, (weights[..., places], biases[..., places]))
-        return LearnedValue(network=network, centre=self.centre, spread=self.spread)
 
     def rule(
         self, models: tuple[HumanModel, ...], costs: Costs, price: float
@@ -305,9 +349,13 @@ class Values:
         return Rule(models, costs, PriceTogether(price), self.estimator(models))
 
 
+# Files
+
+
 class _Provenance(TypedDict, total=False):
-    """Entries of the provenance of values by which scenes are compared; all others are
-    for people to read.
+    """Entries of the provenance of values by which scenes are compared.
+
+    All others are for people to read.
     """
 
     scenarios: list[str]
@@ -327,34 +375,37 @@ class _About(Structure):
 
 def save_values(values: Values, path: Path) -> None:
     """Write learned values as a NumPy archive, atomically."""
-    about = {
-        "version": VERSION,
-        **{name: getattr(values, name) for name in _About.__struct_fields__},
+    about: dict[str, object] = {"version": VALUES_FORMAT.version}
+    for name in _About.__struct_fields__:
+        about[name] = getattr(values, name)
+
+    arrays: dict[str, Any] = {
+        "about": np.array(json.dumps(about, default=dict)),
+        "centre": values.centre,
+        "spread": values.spread,
     }
-    arrays: dict[str, Any] = {"about": np.array(json.dumps(about, default=dict))}
-    arrays |= {"centre": values.centre, "spread": values.spread}
     for number, (weights, biases) in enumerate(values.network):
-        arrays |= {
-            f"weights_{number}": np.asarray(weights),
-            f"biases_{number}": np.asarray(biases),
-        }
+        arrays[f"weights_{number}"] = np.asarray(weights)
+        arrays[f"biases_{number}"] = np.asarray(biases)
+
     with replacing(path) as temporary, temporary.open("wb") as file:
         np.savez(file, **arrays)
 
 
-def load_values(which: str | PathLike[str], kind: str = "pair") -> Values:
+def load_values(which: str | PathLike[str], kind: SceneKind = "pair") -> Values:
     """Read learned values from the package or from a file that `save_values` wrote.
 
     Args:
         which: `SHIPPED_VALUES`, or a file.
-        kind: kind of scene of the package's values, a key of `SHIPPED_FILES`.
+        kind: kind of scene of the package's values.
 
     Raises:
         ValueError: if the file cannot be read, is damaged, or has another version.
     """
     if which == SHIPPED_VALUES:
-        return _shipped(SHIPPED_FILES[kind])
-    with reading(Path(which), f"{REMEDY} --out {which}", " as learned values"):
+        return _shipped(VALUE_FILES[kind])
+    remedy = f"{VALUES_FORMAT.remedy} --out {which}"
+    with reading(Path(which), remedy, " as learned values"):
         return _read(Path(which), digest(Path(which)))
 
 
@@ -367,32 +418,35 @@ def _shipped(name: str) -> Values:
 @cache
 def _read(path: Path, content: str) -> Values:
     """Read a file once for every content, whose digest is given."""
-    arrays = read_arrays(path, MAX_BYTES)
+    arrays = read_arrays(path, VALUES_FORMAT.max_bytes)
+
+    # The version first, as files of another one may have any other content.
     about = json.loads(str(arrays.pop("about")))
     version = about.pop("version", None) if isinstance(about, dict) else None
-    if version != VERSION:
-        raise ValueError(f"it is of version {version}, not {VERSION}")
-    if wrong := [
-        name for name, array in arrays.items() if array.dtype.kind not in "fiu"
-    ]:
-        raise ValueError(
-            f"{wrong[0]} holds {arrays[wrong[0]].dtype}; it must hold numbers"
-        )
+    if version != VALUES_FORMAT.version:
+        raise ValueError(f"it is of version {version}, not {VALUES_FORMAT.version}")
+
+    # Numbers, which cannot be written, as all who read the file share them.
+    for name, array in arrays.items():
+        if array.dtype.kind not in "fiu":
+            raise ValueError(f"{name} holds {array.dtype}; it must hold numbers")
     with np.errstate(over="ignore"):
-        numbers = read_only(
-            {name: array.astype(np.float32) for name, array in arrays.items()}
-        )  # as all share them
+        single = {name: array.astype(np.float32) for name, array in arrays.items()}
+    numbers = read_only(single)
+
     centre = numbers.pop("centre")
     spread = numbers.pop("spread")
     layers = range(len(numbers) // 2)
-    network = tuple(
-        (numbers[f"weights_{number}"], numbers[f"biases_{number}"]) for number in layers
-    )
+    network = tuple((numbers[f"weights_{n}"], numbers[f"biases_{n}"]) for n in layers)
+
     read(about.get("provenance"), _Provenance)
+    described = read(about, _About)
     return Values(
         network,
         centre,
         spread,
-        **msgspec.structs.asdict(read(about, _About)),
+        described.ladder,
+        described.inputs,
+        described.provenance,
         place=str(path),
     )

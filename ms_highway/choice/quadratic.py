@@ -1,5 +1,4 @@
-"""Choose models by the paper's Algorithm 1, with estimates over one step or over the
-whole horizon.
+"""Choose models by the paper's Algorithm 1, over one step or the whole horizon.
 
 After a step, a quadratic expansion of the rewards of robot and human estimates the
 robot's controls under another rung of the ladder, and what they would have earned. All
@@ -9,7 +8,7 @@ each player.
 
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Annotated, NamedTuple, TypeAlias
+from typing import Annotated, ClassVar, NamedTuple, TypeAlias
 
 import jax
 from jax import numpy as jnp
@@ -17,9 +16,9 @@ from jaxtyping import Float
 from msgspec import Meta
 
 from ms_highway.choice.choosers import Price
+from ms_highway.choice.records import NEVER
 from ms_highway.choice.rule import (
     FROM_START,
-    NEVER,
     NOT_ESTIMATED,
     Estimate,
     Estimator,
@@ -53,8 +52,6 @@ from ms_highway.runtime.arrays import (
 )
 from ms_highway.runtime.limits import Positive
 
-HALVINGS = 60  # of the shift's bracket at most, beyond what float32 resolves
-
 Bracket: TypeAlias = tuple[jax.Array, jax.Array, jax.Array]
 """Bounds of the shift, and the number of halvings."""
 
@@ -73,22 +70,28 @@ def trust_region_step(
     ``|x|`` is within ``tolerance * radius`` of the radius. Where b has no part along
     the top eigenvector (the "hard case"), x is extended along it to the boundary.
     """
+    most_halvings = 60  # of the shift's bracket, beyond what float32 resolves
+
+    # A and b in A's eigenbasis, the largest eigenvalue last.
     values, vectors = jnp.linalg.eigh(quadratic)
     along = vectors.T @ linear
     gaps = values[-1] - values
-    least = jnp.maximum(0.0, -values[-1])
+    least_shift = jnp.maximum(0.0, -values[-1])
 
-    def at(shift: Scalar) -> jax.Array:
+    def at(shift: jax.Array) -> jax.Array:
+        """Return x = b / (shift + max(l) - l)."""
         return jnp.where(along == 0, 0.0, along / (shift + gaps))
 
-    def excess(shift: Scalar) -> Scalar:
+    def excess(shift: jax.Array) -> jax.Array:
+        """Return by how much x is longer than the radius."""
         return jnp.sqrt(jnp.sum(at(shift) ** 2)) - radius
 
-    def unfinished(bracket: Bracket) -> Flag:
+    # Bisect the shift.
+    def unfinished(bracket: Bracket) -> jax.Array:
         low, high, halvings = bracket
-        return (halvings < HALVINGS) & (
-            jnp.abs(excess((low + high) / 2)) > tolerance * radius
-        )
+        may_go_on = halvings < most_halvings
+        inexact = jnp.abs(excess((low + high) / 2)) > tolerance * radius
+        return may_go_on & inexact
 
     def halve(bracket: Bracket) -> Bracket:
         low, high, halvings = bracket
@@ -100,23 +103,21 @@ def trust_region_step(
             halvings + 1,
         )
 
-    interior = (values[-1] < 0) & (excess(least) <= 0)
-    first = least, jnp.sqrt(jnp.sum(along**2)) / radius, jnp.int32(0)
+    interior = (values[-1] < 0) & (excess(least_shift) <= 0)
+    most_shift = jnp.sqrt(jnp.sum(along**2)) / radius
+    first = least_shift, most_shift, jnp.int32(0)
     low, high, halvings = jax.lax.while_loop(unfinished, halve, first)
-    inside = at(jnp.where(interior, least, (low + high) / 2))
-    hard = (values[-1] > 0) & (halvings == HALVINGS)
-    left = radius**2 - jnp.sum(inside**2)
-    rest = jnp.where(
+    maximiser = at(jnp.where(interior, least_shift, (low + high) / 2))
+
+    # In the hard case, go on along the top eigenvector up to the boundary.
+    hard = (values[-1] > 0) & (halvings == most_halvings)
+    left = radius**2 - jnp.sum(maximiser**2)
+    extension = jnp.where(
         hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0
     )
-    return vectors @ inside.at[-1].add(jnp.where(along[-1] < 0, -rest, rest))
+    signed = jnp.where(along[-1] < 0, -extension, extension)
+    return vectors @ maximiser.at[-1].add(signed)
 
-
-TRUST_TOLERANCE = 1e-3
-"""Tolerance of the length of a trust-region step, as a share of the radius."""
-
-RELEASED_TRUST_TOLERANCE = 0.05
-"""The same tolerance in the solver of the released code."""
 
 Cooldown = Annotated[
     int,
@@ -127,13 +128,17 @@ Cooldown = Annotated[
 
 
 class RewardExpansion(NamedTuple):
-    """Derivatives of the robot's reward in both players' controls, its own first, and
-    the human's response.
+    """Derivatives of the robot's reward, and the human's response.
+
+    Attributes:
+        gradient: in both players' controls, the robot's first.
+        hessian: in the same.
+        influence: J = d u_H / d u_R, how the human's controls respond to the robot's.
     """
 
     gradient: Float[jax.Array, "both"]
     hessian: Float[jax.Array, "both both"]
-    influence: Matrix  # J = d u_H / d u_R
+    influence: Matrix
 
 
 @jax.tree_util.register_dataclass
@@ -174,14 +179,16 @@ class Quadratic(Estimator[GameEvidence]):
         trust_radius: longest change of the scaled controls for which the expansion is
             trusted.
         trust_tolerance: tolerance of the length of ``delta u``, as a share of the
-            radius; 0.05 in the released code.
+            radius.
+        released_tolerance: the same in the solver of the released code.
         steps: number of steps of the last plan that are expanded; None for the whole
             horizon (static).
     """
 
     cooldown: Cooldown = 3
     trust_radius: Positive = 1.5
-    trust_tolerance: Scalar = field(default=TRUST_TOLERANCE, metadata=FROM_START)
+    trust_tolerance: Scalar = field(default=1e-3, metadata=FROM_START)
+    released_tolerance: ClassVar[float] = 0.05
     steps: int | None = field(default=1, metadata={"static": True} | FROM_START)
 
     def __post_init__(self) -> None:
@@ -194,15 +201,15 @@ class Quadratic(Estimator[GameEvidence]):
         """Return the estimator with the tolerance of the episode's semantics."""
         if start.semantics != "released":
             return self
-        return replace(self, trust_tolerance=RELEASED_TRUST_TOLERANCE)
+        return replace(self, trust_tolerance=self.released_tolerance)
 
     def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
-        """Compare the rung in use with the top of the ladder, and with the rung below."""
+        """Compare the rung in use with the top rung, and with the rung below."""
         rungs = jnp.asarray(memory.rungs)
         top = len(evidence.ladder) - 1
         humans = jnp.arange(len(rungs))
         places = jnp.arange(top + 1)
-        in_use = places == rungs[:, None]
+        in_use = places == rungs[:, None]  # [humans, rungs]
 
         # Which comparisons are due.
         waited = memory.step + 1 - jnp.asarray(memory.last_check)[humans, rungs]
@@ -215,83 +222,136 @@ class Quadratic(Estimator[GameEvidence]):
 
         up, down = each_human(evidence.game, compare)
 
-        # From gains over the rung in use to gains over the first one.
+        # Gain of the rung in use over the first one, for each human.
         own = jnp.where(rungs == 0, 0.0, jnp.asarray(memory.gain))
         own = jnp.where((rungs == 1) & jnp.isfinite(down), -down, own)
+
+        # From gains over the rung in use to gains over the first one.
         gains = jnp.where(
             in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED
         )
         gains = jnp.where(climbs[:, None] & (places == top), (own + up)[:, None], gains)
-        gains = jnp.where(
-            checks[:, None] & (places == rungs[:, None] - 1),
-            (own + down)[:, None],
-            gains,
-        )
+        checked = checks[:, None] & (places == rungs[:, None] - 1)
+        gains = jnp.where(checked, (own + down)[:, None], gains)
         return Estimate(gains, jnp.bool(False))
 
     def _gains(
         self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag
     ) -> tuple[Scalar, Scalar]:
-        """Estimate the gains of the top rung and of the rung below for one human;
-        `NOT_ESTIMATED` if not due.
+        """Estimate what the top rung and the rung below gain over the rung in use.
+
+        Args:
+            evidence: of the robot and one human.
+            rung: in use for this human.
+            climbs: whether the top rung is due.
+            checks: whether the rung below is due.
+
+        Returns:
+            The gain of the top rung and of the rung below; `NOT_ESTIMATED` if not due.
         """
-        game = evidence.game
-        ladder = evidence.ladder
-        outcome = evidence.outcome
         none = jnp.float32(NOT_ESTIMATED)
-        state = jnp.asarray(outcome.before)
-        plan = outcome.plan
-        observed = game.observed_payoff
+        state = jnp.asarray(evidence.outcome.before)
 
         def estimate() -> tuple[Scalar, Scalar]:
-            # What happened in the first step, and what the plan expects of the others.
-            robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
-            human = (
-                jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
+            last = self._last_controls(evidence)
+            earned = self._earned(evidence, state, last)
+            expansion = expand(
+                evidence.game, state, last.robot.ravel(), last.human.ravel()
             )
-            later = (
-                step_rewards(game, observed, state, robot, human[None])[1:]
-                if self.steps != 1
-                else jnp.zeros(0)
-            )
-            earned = outcome.reward + jnp.sum(later)
-            expansion = expand(game, state, robot.ravel(), human.ravel())
+            gain = partial(self._gain, evidence.game, state, last, earned, expansion)
 
-            def gain(expected: Controls, responds: bool) -> Scalar:
-                influence = (
-                    expansion.influence
-                    if responds
-                    else jnp.zeros_like(expansion.influence)
-                )
-                change = change_of_control(
-                    expansion, (expected - human).ravel(), influence, self
-                )
-                response = (expansion.influence @ change).reshape(human.shape)
-                moved = robot + change.reshape(robot.shape)
-                rewards = step_rewards(
-                    game, observed, state, moved, (human + response)[None]
-                )
-                return (jnp.sum(rewards) - earned) / len(robot)
+            def gain_up() -> Scalar:
+                return gain(last.human, evidence.ladder[-1].responds)
 
             def gain_down() -> Scalar:
                 below = jnp.maximum(rung - 1, 0)
                 models = [
-                    partial(scaled_prediction, model, game, state)
-                    for model in ladder[:-1] or ladder
+                    partial(scaled_prediction, model, evidence.game, state)
+                    for model in evidence.ladder[:-1] or evidence.ladder
                 ]
-                return gain(jax.lax.switch(below, models)[: len(robot)], False)
+                predicted = jax.lax.switch(below, models)
+                return gain(predicted[: len(last.robot)], False)
 
-            up = jax.lax.cond(
-                climbs, lambda: gain(human, ladder[-1].responds), lambda: none
-            )
-            return up, jax.lax.cond(checks, gain_down, lambda: none)
+            up = jax.lax.cond(climbs, gain_up, lambda: none)
+            down = jax.lax.cond(checks, gain_down, lambda: none)
+            return up, down
 
         return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
 
+    def _last_controls(self, evidence: GameEvidence) -> "LastControls":
+        """Return the first controls as observed, the others as planned."""
+        outcome = evidence.outcome
+        plan = outcome.plan
+        robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
+        human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
+        return LastControls(robot, human)
+
+    def _earned(
+        self, evidence: GameEvidence, state: State, last: "LastControls"
+    ) -> Scalar:
+        """Return what the last plan earns: its first reward as observed."""
+        if self.steps == 1:
+            later = jnp.zeros(0)
+        else:
+            game = evidence.game
+            rewards = step_rewards(
+                game, game.observed_payoff, state, last.robot, last.human[None]
+            )
+            later = rewards[1:]
+        return evidence.outcome.reward + jnp.sum(later)
+
+    def _gain(
+        self,
+        game: Game,
+        state: State,
+        last: "LastControls",
+        earned: Scalar,
+        expansion: RewardExpansion,
+        expected: Controls,
+        responds: bool,
+    ) -> Scalar:
+        """Return what another model would have gained per step.
+
+        Args:
+            game: of the robot and one human.
+            state: of all cars before the step.
+            last: controls of both.
+            earned: by them.
+            expansion: of the rewards around them.
+            expected: controls of the human that the model predicts.
+            responds: whether the human responds under the model.
+        """
+        # The best change of the robot's controls under the model.
+        influence = expansion.influence
+        if not responds:
+            influence = jnp.zeros_like(influence)
+        surprise = (expected - last.human).ravel()
+        change = change_of_control(expansion, surprise, influence, self)
+
+        # What it earns as the human really responds.
+        response = (expansion.influence @ change).reshape(last.human.shape)
+        robot = last.robot + change.reshape(last.robot.shape)
+        human = last.human + response
+        rewards = step_rewards(game, game.observed_payoff, state, robot, human[None])
+        return (jnp.sum(rewards) - earned) / len(robot)
+
+
+class LastControls(NamedTuple):
+    """What robot and human did in the last step, and planned for the next ones.
+
+    Attributes:
+        robot: its scaled controls.
+        human: those of the human.
+    """
+
+    robot: Controls
+    human: Controls
+
 
 def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
-    """Return the evidence in the game of the robot with one human, see
-    `ms_highway.game.game.pair`.
+    """Return the evidence in the game of the robot with one human.
+
+    See `ms_highway.game.game.pair`.
     """
     game = evidence.game
     outcome = evidence.outcome
@@ -306,39 +366,48 @@ def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
 
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
-    """Expand the rewards of both players in the controls of both, in one batch; each is
-    seen from its own car.
+    """Expand the rewards of both players in the controls of both, in one batch.
+
+    Each player is seen from its own car.
     """
     payoff = game.observed_payoff
     n = len(robot)
 
     def earned(
-        controls: Float[jax.Array, "both"], driver: Reward, state: State
+        controls: Float[jax.Array, "both"], player: Reward, state: State
     ) -> Scalar:
+        """Return what a player, car 0 of the state, earns by the controls of both."""
         own, partner = controls.reshape(2, -1, 2)
         others = with_scripted(game, state, move(game, state[1], partner)[None])
-        return replace(payoff, reward=driver).total(move(game, state[0], own), others)
+        return replace(payoff, reward=player).total(move(game, state[0], own), others)
 
+    # Gradients and Hessians of both rewards, [players, both] and [players, both, both].
     controls = jnp.stack(
         [jnp.concatenate([robot, human]), jnp.concatenate([human, robot])]
     )
-    players = controls, game.players(), jnp.stack([state, swap_players(game, state)[1]])
-    gradients, (hessian, mirrored) = (
-        jax.vmap(derive(earned))(*players) for derive in (jax.grad, jax.hessian)
-    )
-    human_bend = mirrored[:n, :n] - jnp.diag(
-        jnp.tile(jnp.asarray(game.humans.comfort), n // 2)
-    )
+    players = game.players()
+    states = jnp.stack([state, swap_players(game, state)[1]])
+    gradients = jax.vmap(jax.grad(earned))(controls, players, states)
+    hessian, mirrored = jax.vmap(jax.hessian(earned))(controls, players, states)
+
+    # J = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R, with the human's cost of controls.
+    reward_bend = mirrored[:n, :n]
+    comfort = jnp.tile(jnp.asarray(game.humans.comfort), n // 2)
+    human_bend = reward_bend - jnp.diag(comfort)
     return RewardExpansion(
-        gradients[0], hessian, response(game.influence, human_bend, mirrored[:n, n:])
+        gradient=gradients[0],
+        hessian=hessian,
+        influence=response(game.influence, human_bend, mirrored[:n, n:]),
     )
 
 
 def change_of_control(
-    expansion: RewardExpansion, surprise: Vector, influence: Matrix, how: Quadratic
+    expansion: RewardExpansion,
+    surprise: Vector,
+    influence: Matrix,
+    settings: Quadratic,
 ) -> Vector:
-    """Return ``delta u``, which leads from the present controls to the best ones under
-    another model.
+    """Return ``delta u``, which leads to the best controls under another model.
 
     Let g and H be the gradient and the Hessian of r_R in both players' controls, and d
     the human controls that the model expects less u_H. With the model's influence J', a
@@ -346,11 +415,13 @@ def change_of_control(
     J']``. The expansion is ``du^T P^T H P du / 2 + (g + H [0; d])^T P du``.
     """
     n = len(surprise)
-    both = jnp.concatenate([jnp.eye(n), influence])
+    both = jnp.concatenate([jnp.eye(n), influence])  # P
     slope = expansion.gradient + expansion.hessian[:, n:] @ surprise
     quadratic = both.T @ expansion.hessian @ both
     linear = both.T @ slope
-    return trust_region_step(quadratic, linear, how.trust_radius, how.trust_tolerance)
+    return trust_region_step(
+        quadratic, linear, settings.trust_radius, settings.trust_tolerance
+    )
 
 
 def Switching(  # noqa: N802 (its name since version 1, when it was a class)
@@ -358,7 +429,7 @@ def Switching(  # noqa: N802 (its name since version 1, when it was a class)
     price: float,
     ladder: tuple[HumanModel, ...],
     trust_radius: float = Quadratic.trust_radius,
-    trust_tolerance: Scalar = TRUST_TOLERANCE,
+    trust_tolerance: Scalar = Quadratic.trust_tolerance,
     cooldown: int = Quadratic.cooldown,
     steps: int | None = 1,
 ) -> Rule[GameEvidence]:

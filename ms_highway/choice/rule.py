@@ -6,195 +6,59 @@ what the rungs cost, and returns rungs. A part may need evidence, a type of its 
 games the last step, a `GameEvidence`; on stock roads the bounds of proposals, see
 `ms_highway.road.settings`.
 
+`decide` lets a rule choose: estimate, choose, and remember.
+
 All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on
-the rule's ladder.
+the rule's ladder. What rules take and return is in `ms_highway.choice.records`.
 """
 
-import reprlib
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Generic, NamedTuple, NoReturn, Self, TypeVar
+from typing import ClassVar, Generic, NoReturn, Self, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Int
 
+from ms_highway.choice import checks
+from ms_highway.choice.checks import NO_GAINS, RuleNames, are_no_gains
+from ms_highway.choice.records import (
+    NEVER,
+    NOT_ESTIMATED,
+    Decision,
+    Estimate,
+    GameEvidence,
+    Memory,
+    Outcome,
+    Start,
+)
+
+# its home before version 3.1
+from ms_highway.choice.shipped import PUBLISHED_COSTS as PUBLISHED_COSTS
 from ms_highway.game.game import Game
-from ms_highway.game.scenario import Semantics
 from ms_highway.planning.costs import UNKNOWN, Costs
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.planning.plans import Plan
 from ms_highway.runtime.arrays import (
     Array,
-    Control,
-    Flag,
     Gains,
-    HumansControl,
-    Index,
-    PerHuman,
-    Published,
+    RungIndex,
     Rungs,
     Scalar,
+    State,
     naming_writes,
     read_only,
 )
 from ms_highway.runtime.limits import NotNegative
 
-PUBLISHED_COSTS = Published({"naive": 0.09, "turn": 0.17, "tom": 0.37})  # s
-"""Planning time of each model, as the decisions in the paper's experiments count it."""
-
-SHIPPED_COSTS = {  # s
-    "pair": {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011},
-    "physical": {"naive": 0.0007, "idm": 0.0007, "turn": 0.0013, "tom": 0.0011},
-    "several": {"naive": 0.0012, "idm": 0.0012, "turn": 0.0018, "tom": 0.0018},
-    "physical several": {"naive": 0.0011, "idm": 0.0011, "turn": 0.0014, "tom": 0.0014},
-}
-"""Planning time of each model by kind of scene, see `shipped_kind`. With several
-humans, it is the time of a plan in which the model predicts one of them and naive the
-others.
-
-These are means over episodes on one core, including the search for a way out: of Merger
-v1 and Give Way v1 with one human, and with several of Dense Merge (six episodes) and
-Dense Merge v1 (20). That search became faster afterwards. Each mean with several humans
-is therefore multiplied by a ratio: the time of 12 episodes with the faster search over
-their time with the slower one.
-"""
-
-NOT_ESTIMATED = -np.inf
-"""Gain of a rung for which none was estimated. It is not NaN, as NaN would trigger
-``jax_debug_nans``.
-"""
-
-NEVER = -(2**20)
-"""Step that stands for the last check if there was none."""
-
-NO_GAINS = int(np.iinfo(np.int32).min)
-"""Rung that stands for gains that are no numbers. JAX cannot raise an error where it
-traces a decision, so that `refuse_rungs` raises it afterwards.
-"""
-
-REAL = ("bool", "integral", "real floating")
-"""Types of numbers that gains may be, as `jax.numpy.isdtype` names them."""
-
 DERIVE = (
     "derive it from ms_highway.Chooser and define `choose`, or from"
     " ms_highway.Estimator and define `estimate`"
 )
-"""What to derive a rule of one's own from."""
+"""What to derive a rule of one's own from, for messages."""
 
 FROM_START: dict[str, bool] = {"from_start": True}
 """Metadata of a field that configurations cannot set: code or the start of an episode
 does, see `Part.at_start`."""
-
-
-# Inputs and results of rules
-
-
-class Memory(NamedTuple):
-    """What a rule remembers: the rungs in use, when they were checked, what they gain.
-
-    Attributes:
-        rungs: rung of every human in the plan of the last step; in a `Decision`, for
-            the coming step.
-        step: number of the coming step, from 0.
-        last_check: per human and rung: the last step in which, with this rung in use,
-            the rung below was estimated and the rule did not go up.
-        gain: for every human, the gain over the first rung that was estimated for the
-            rung in use, when it was last estimated; 0 for the first rung, and if there
-            was no estimate.
-    """
-
-    rungs: Rungs
-    step: Index
-    last_check: Int[Array, "humans rungs"]
-    gain: PerHuman
-
-
-class Outcome(NamedTuple):
-    """The last step, as a rule sees it. Before the first step, it is a step in which no
-    car moved.
-
-    Attributes:
-        before: all cars before the step; on a stock road, the scene.
-        after: all cars after it, likewise.
-        robot: scaled control that the robot executed.
-        humans: scaled controls of the humans, as observed.
-        reward: the robot's reward after the step.
-        plan: plan that the robot followed, with the controls that it expected of the
-            humans.
-    """
-
-    before: Any
-    after: Any
-    robot: Control
-    humans: HumansControl
-    reward: Scalar
-    plan: Plan
-
-
-@jax.tree_util.register_dataclass
-@dataclass(frozen=True)
-class GameEvidence:
-    """What rules see where the robot plays a game.
-
-    Attributes:
-        game: with the humans' rewards as the robot believes them.
-        outcome: of the last step.
-        ladder: the rule's human models, cheapest first (static).
-    """
-
-    game: Game
-    outcome: Outcome
-    ladder: tuple[HumanModel, ...] = field(metadata={"static": True})
-
-
-class Estimate(NamedTuple):
-    """Gain in reward per step of each rung over the first one, before its price.
-
-    Attributes:
-        gains: for every human, how much more reward per step each rung earns than the
-            first rung, before the price of its time. The gain of the first rung is 0
-            where it is estimated. `NOT_ESTIMATED` where none is.
-        failed: whether a gain that was asked for could not be computed.
-    """
-
-    gains: Gains
-    failed: Flag
-
-
-class Decision(NamedTuple):
-    """Rungs of the coming step, and the gains by which they were chosen.
-
-    Attributes:
-        memory: memory with the rungs for the coming step. The caller counts the steps.
-        gains: see `Estimate`; `NOT_ESTIMATED` for all rungs of a rule without an
-            estimator.
-        failed: see `Estimate`.
-    """
-
-    memory: Memory
-    gains: Gains
-    failed: Flag
-
-
-class Start(NamedTuple):
-    """What is known when an episode starts.
-
-    Attributes:
-        ladder: human models to choose from, cheapest first.
-        costs: of plans with them, NaN where unknown.
-        semantics: of the scenario.
-        humans: number of humans.
-        steps: number of steps of the episode.
-        random: source of the draws.
-    """
-
-    ladder: tuple[HumanModel, ...]
-    costs: Costs
-    semantics: Semantics
-    humans: int
-    steps: int
-    random: np.random.Generator
 
 
 # The parts of a rule
@@ -223,15 +87,17 @@ class Part:
         cls.tag = tag
 
     def at_start(self, start: Start) -> Self:
-        """Return the part with what only the start of an episode knows; by default, as
-        it is.
+        """Return the part with what only the start of an episode knows.
+
+        By default, that is the part as it is.
         """
         return self
 
 
 class Estimator(Part, Generic[Evidence]):
-    """Say what each rung would gain for each human, whatever its price, for any number
-    of humans.
+    """Say what each rung would gain for each human, whatever its price.
+
+    An estimator works for any number of humans.
     """
 
     def estimate(self, memory: Memory, evidence: Evidence) -> Estimate:
@@ -284,8 +150,7 @@ class Priced(Chooser[Evidence]):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Rule(Generic[Evidence]):
-    """Choose a rung for every human: estimate the gains, then weigh them against the
-    costs.
+    """Choose a rung for every human by what the rungs gain and cost.
 
     A rule is a pytree, so that its numbers may change without recompilation. It works
     for any number of humans, live and in batches.
@@ -311,23 +176,26 @@ class Rule(Generic[Evidence]):
         raise ValueError(f"the rule {cls.__name__} derives from Rule; {DERIVE}")
 
     @property
-    def estimates(self) -> bool:
-        """Whether a decision needs a computation, which is then compiled and timed."""
-        return self.chooser.computes or self.estimator is not None
+    def computes(self) -> bool:
+        """Whether a decision needs a computation, which is then compiled and timed.
 
-    @property
-    def name(self) -> str:
-        """Name of what chooses, for messages."""
-        return type(self.chooser).__name__
+        Rungs that are known beforehand, such as those of an `Order`, need none.
+        """
+        return self.chooser.computes or self.estimator is not None
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts that it has."""
-        return (
-            (self.chooser,)
-            if self.estimator is None
-            else (self.chooser, self.estimator)
-        )
+        if self.estimator is None:
+            return (self.chooser,)
+        return self.chooser, self.estimator
+
+    @property
+    def names(self) -> RuleNames:
+        """Names of its parts and models, for messages."""
+        estimator = "" if self.estimator is None else type(self.estimator).__name__
+        models = tuple(model.name for model in self.ladder)
+        return RuleNames(type(self.chooser).__name__, estimator, models)
 
     def check(self) -> None:
         """Check the ladder, the costs and the price.
@@ -338,52 +206,20 @@ class Rule(Generic[Evidence]):
                 or the price are negative; if JAX cannot compile a decision that needs
                 it.
         """
-        if self.estimates:
+        if self.computes:
             compilable(self)
-
-        # The ladder.
-        if strange := [
-            model for model in self.ladder if not isinstance(model, HumanModel)
-        ]:
-            raise ValueError(
-                f"the ladder has {strange[0]!r}, which is no human model; make one of"
-                " names with `ladder`"
-            )
-        names = tuple(model.name for model in self.ladder)
-
-        # One cost for each of its rungs.
-        if not isinstance(self.costs, Costs):
-            remedy = "make them of seconds by name with ms_highway.Costs.of"
-            raise ValueError(f"the costs are {shown(self.costs)}; {remedy}")
-        each = np.asarray(self.costs.each)
-        known = self.costs.names
-        if known != names or each.shape != (len(names),):
-            message = (
-                f"the costs are {each.tolist()} for {', '.join(known) or 'no model'}"
-            )
-            remedy = "in this order, as costs.select(names) does"
-            raise ValueError(
-                f"{message}; give one for each of {', '.join(names)}, {remedy}"
-            )
-
-        # Neither negative costs nor a negative price.
-        price = np.asarray(
-            self.chooser.price if isinstance(self.chooser, Priced) else 0.0
-        )
-        if not (price >= 0).all() or (each < 0).any():
-            raise ValueError(
-                f"the price is {price} and the costs are {each.tolist()}; neither may"
-                " be negative"
-            )
+        checks.check_ladder(self.ladder)
+        checks.check_costs(self.costs, self.names.models)
+        price = self.chooser.price if isinstance(self.chooser, Priced) else 0.0
+        checks.check_not_negative(price, self.costs)
 
 
 def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
-    """Return the rule at another price lambda; a rule without a price is returned
-    unchanged.
-    """
+    """Return the rule at another price lambda; without a price, the rule as it is."""
     if not isinstance(rule.chooser, Priced):
         return rule
-    chooser = replace(rule.chooser, price=price)  # type: ignore[arg-type] # JAX may trace it
+    # JAX may trace the price.
+    chooser = replace(rule.chooser, price=price)  # type: ignore[arg-type]
     return replace(rule, chooser=chooser)
 
 
@@ -393,8 +229,9 @@ def at_price(rule: Rule[Evidence], price: Scalar) -> Rule[Evidence]:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Order(Chooser[object]):
-    """Take the rungs from a table: a fixed model, a schedule, or rungs that were drawn
-    beforehand.
+    """Take the rungs from a table.
+
+    The table is a fixed model, a schedule, or rungs that were drawn beforehand.
 
     Attributes:
         rungs: rung of every human in each step. Later steps take the last row. A single
@@ -416,20 +253,21 @@ class Order(Chooser[object]):
 
 def in_order(
     rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]
-) -> Rule[Any]:
-    """Return the rule that takes the rungs of a ladder from a table, see `Order`; its
-    costs are unknown.
+) -> Rule[object]:
+    """Return the rule that takes the rungs of a ladder from a table, see `Order`.
+
+    Its costs are unknown.
     """
     costs = UNKNOWN.select(model.name for model in ladder)
     return Rule(ladder, costs, Order(rungs))
 
 
-def always(model: HumanModel) -> Rule[Any]:
+def always(model: HumanModel) -> Rule[object]:
     """Return the rule that predicts every human by the same model in all steps."""
     return in_order(np.zeros((1, 1), int), (model,))
 
 
-def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
+def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], RungIndex]:
     """Return the rule, and the rung that predicts unresponsive humans.
 
     It is the first rung; under an order naive, which is added to a ladder without it.
@@ -438,26 +276,28 @@ def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], int]:
         ValueError: if the first model of a rule that is no order counts on a response
             of the human.
     """
-    first = rule.ladder[0]
     if isinstance(rule.chooser, Order):
-        names = [model.name for model in rule.ladder]
+        names = rule.names.models
         if Naive.name in names:
-            return rule, names.index(Naive.name)
-        return in_order(rule.chooser.rungs, (*rule.ladder, Naive())), len(names)
+            return rule, RungIndex(names.index(Naive.name))
+        longer = in_order(rule.chooser.rungs, (*rule.ladder, Naive()))
+        return longer, RungIndex(len(names))
+
+    first = rule.ladder[0]
     if first.responds:
-        message = f"the ladder begins with {first.name}, which counts on a response"
+        remedy = "begin it with a model that does not, such as naive"
         raise ValueError(
-            f"{message}; with a belief, begin it with a model that does not, such as"
-            " naive"
+            f"the ladder begins with {first.name}, which counts on a response; with a"
+            f" belief, {remedy}"
         )
-    return rule, 0
+    return rule, RungIndex(0)
 
 
 # Decisions
 
 
 def decide(
-    rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome
+    rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome[State]
 ) -> Decision:
     """Choose the rungs of the coming step in a game, see `decide_on`.
 
@@ -480,10 +320,8 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
             now, also for numbers that are no rungs, and for gains that are no numbers.
             Where JAX traces the decision, `refuse_rungs` checks these afterwards.
     """
-    shape = memory.last_check.shape
     if rule.estimator is None:
-        xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
-        gains = xp.full(shape, NOT_ESTIMATED, dtype=xp.float32)
+        gains = _not_estimated(memory)
         rungs = _chosen(rule, memory, gains, evidence)
         return unestimated(memory, rungs)
 
@@ -491,7 +329,7 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     gains, failed = _estimated(rule, rule.estimator, memory, evidence)
     rungs = _chosen(rule, memory, gains, evidence)
     if not is_of_package(rule):
-        unknown = _no_gains(gains).any(axis=1)
+        unknown = are_no_gains(gains).any(axis=1)
         rungs = jnp.where(unknown, NO_GAINS, rungs)
     return Decision(_remembered(memory, rungs, gains), gains, jnp.asarray(failed))
 
@@ -502,102 +340,28 @@ def _estimated(
     memory: Memory,
     evidence: Evidence,
 ) -> Estimate:
-    """Return what an estimator says; check it, if the estimator is not the package's."""
-    if _is_own(estimator):
+    """Return what an estimator says, checked if the estimator is not the package's."""
+    if checks.is_part_of_package(estimator):
         return estimator.estimate(memory, evidence)
-    name = type(estimator).__name__
-    with naming_writes(f"the estimator {name}"):
+    with naming_writes(f"the estimator {rule.names.estimator}"):
         estimate = estimator.estimate(*read_only((memory, evidence)))
-    if not isinstance(estimate, Estimate):
-        remedy = "return an Estimate(gains, failed)"
-        raise ValueError(f"the estimator {name} returned {shown(estimate)}; {remedy}")
-
-    # Gains: one real number for each human and rung.
-    shape = memory.last_check.shape
-    remedy = f"return one for each human and rung, an array {shape}"
-    gains = _as_numbers(estimate.gains)
-    if gains is None or not jnp.isdtype(gains.dtype, REAL):
-        found = shown(estimate.gains)
-        raise ValueError(f"the estimator {name} returned the gains {found}; {remedy}")
-    if gains.shape != shape:
-        message = f"the estimator {name} returned gains of shape {gains.shape}"
-        raise ValueError(f"{message}; {remedy}")
-    gains = jnp.asarray(gains, jnp.float32)
-    if not isinstance(gains, jax.core.Tracer) and _no_gains(gains).any():
-        raise ValueError(_gains_message(rule))
-
-    # Whether they failed: one flag.
-    failed = _as_numbers(estimate.failed)
-    if failed is None or failed.shape != () or failed.dtype != bool:
-        found = shown(estimate.failed)
-        remedy = "return one boolean for all humans, such as flags.any()"
-        raise ValueError(f"the estimator {name} returned failed={found}; {remedy}")
-    return Estimate(gains, failed)
+    return checks.checked_estimate(rule.names, estimate, memory.last_check.shape)
 
 
 def _chosen(
     rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence
 ) -> Rungs:
-    """Return the rungs that a chooser returns; check them, if the chooser is not the
-    package's.
-    """
-    if _is_own(rule.chooser):
+    """Return what a chooser says, checked if the chooser is not the package's."""
+    if checks.is_part_of_package(rule.chooser):
         return rule.chooser.choose(memory, gains, rule.costs, evidence)
-    name = rule.name
-    number = len(memory.rungs)
-    with naming_writes(f"the rule {name}"):
-        returned = rule.chooser.choose(
-            *read_only((memory, gains, rule.costs, evidence))
-        )
-
-    # One whole number for each human.
-    remedy = _rungs_remedy(rule, number)
-    rungs = _as_numbers(returned)
-    if rungs is None:
-        raise ValueError(f"the rule {name} returned {shown(returned)}; {remedy}")
-    traced = isinstance(rungs, jax.core.Tracer)
-    if rungs.shape != (number,) or not jnp.isdtype(rungs.dtype, ("bool", "integral")):
-        found = (
-            f"{rungs.dtype} numbers of shape {rungs.shape}"
-            if traced
-            else f"the rungs {rungs.tolist()}"
-        )
-        raise ValueError(f"the rule {name} returned {found}; {remedy}")
-
-    # Of the ladder.
-    if not traced:
-        refuse_rungs(rule, rungs)
-    return rungs.__array_namespace__().asarray(rungs, dtype=np.int32)
-
-
-def _as_numbers(returned: Any) -> Any:
-    """Return what a part returned as an array of NumPy or JAX; None if it holds no
-    numbers.
-    """
-    if isinstance(returned, np.ndarray):
-        return returned if returned.dtype.kind in "biufc" else None
-    try:
-        return jnp.asarray(returned)
-    except (TypeError, ValueError, OverflowError):
-        return None
-
-
-def shown(returned: Any) -> str:
-    """Return what a part returned, in short and on one line, for messages."""
-    if isinstance(returned, jax.core.Tracer):
-        return f"{returned.dtype} numbers of shape {returned.shape}"
-    return " ".join(reprlib.repr(returned).split())
-
-
-def _no_gains(gains: Gains) -> Any:
-    """Return where gains are neither numbers nor `NOT_ESTIMATED`."""
-    return ~jnp.isfinite(gains) & (gains != NOT_ESTIMATED)
+    given = read_only((memory, gains, rule.costs, evidence))
+    with naming_writes(f"the rule {rule.names.chooser}"):
+        rungs = rule.chooser.choose(*given)
+    return checks.checked_rungs(rule.names, rungs, len(memory.rungs))
 
 
 def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
-    """Return the memory with new rungs, with what was checked, and with the gain of the
-    rung that is now in use.
-    """
+    """Return the memory with new rungs, what was checked, and what the rungs gain."""
     before = jnp.asarray(memory.rungs)
     humans = jnp.arange(len(before))
     places = jnp.arange(gains.shape[1])
@@ -605,7 +369,7 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
     # The rung below counts as checked where it was estimated, unless the rule goes up.
     below = gains[humans, jnp.maximum(before - 1, 0)]
     checked = (before > 0) & (below != NOT_ESTIMATED) & (rungs <= before)
-    in_use = places == before[:, None]
+    in_use = places == before[:, None]  # [humans, rungs]
     last_check = jnp.where(
         checked[:, None] & in_use, memory.step + 1, memory.last_check
     )
@@ -618,31 +382,37 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
     return memory._replace(rungs=rungs, last_check=last_check, gain=gain)
 
 
-def first_memory(rule: Rule[Any], humans: int) -> Memory:
-    """Return the memory before the first step. Every human is on the first rung, and
-    every rung may be checked.
+def first_memory(rule: Rule[Evidence], humans: int) -> Memory:
+    """Return the memory before the first step.
+
+    Every human is on the first rung, and every rung may be checked.
     """
-    checks = np.full((humans, len(rule.ladder)), NEVER, np.int32)
     return Memory(
-        np.zeros(humans, np.int32),
-        np.zeros((), np.int32),
-        checks,
-        np.zeros(humans, np.float32),
+        rungs=np.zeros(humans, np.int32),
+        step=np.zeros((), np.int32),
+        last_check=np.full((humans, len(rule.ladder)), NEVER, np.int32),
+        gain=np.zeros(humans, np.float32),
     )
+
+
+def _not_estimated(memory: Memory) -> Gains:
+    """Return gains of which none is known."""
+    xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
+    return xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
 
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return the decision for these rungs, without estimated gains."""
+    gains = _not_estimated(memory)
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
-    gains = xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
-    if (
-        isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu"
-    ):  # of 64 bits, which JAX cuts to 32
+
+    # Whole numbers of 64 bits would be cut to 32, which could make rungs of them.
+    if isinstance(rungs, np.ndarray) and rungs.dtype.kind in "iu":
         rungs = np.clip(rungs, -1, np.iinfo(np.int32).max)
     rungs = xp.asarray(rungs)
-    if not xp.isdtype(
-        rungs.dtype, "real floating"
-    ):  # which is refused, instead of cutting its numbers off
+
+    # Numbers with a fraction stay as they are: they are refused, not cut off.
+    if not xp.isdtype(rungs.dtype, "real floating"):
         rungs = xp.asarray(rungs, dtype=xp.int32)
     return Decision(memory._replace(rungs=rungs), gains, xp.asarray(False))
 
@@ -650,16 +420,12 @@ def unestimated(memory: Memory, rungs: Rungs) -> Decision:
 # Rules of a user's
 
 
-def _is_own(part: Part) -> bool:
-    """Return whether a part is the package's own."""
-    return type(part).__module__.partition(".")[0] == __name__.partition(".")[0]
+def is_of_package(rule: Rule[Evidence]) -> bool:
+    """Return whether all parts of a rule are the package's own.
 
-
-def is_of_package(rule: Rule[Any]) -> bool:
-    """Return whether all parts of a rule are the package's own, whose decisions need no
-    check.
+    Their decisions need no check.
     """
-    return all(map(_is_own, rule.parts))
+    return all(map(checks.is_part_of_package, rule.parts))
 
 
 def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
@@ -669,73 +435,22 @@ def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
         ValueError: if JAX does not know them.
     """
     for part in rule.parts:
-        if jax.tree_util.all_leaves([part]):
-            remedy = (
-                "write @jax.tree_util.register_dataclass above its"
-                " @dataclass(frozen=True)"
-            )
-            raise ValueError(
-                f"JAX cannot compile for the rule {type(part).__name__}, as it does not"
-                f" know its fields; {remedy}"
-            )
+        checks.check_fields(part)
     return rule
 
 
-def in_ladder(rule: Rule[Any], rungs: Any) -> Any:
+def in_ladder(
+    rule: Rule[Evidence], rungs: Int[Array, "*shape"]
+) -> Bool[Array, "*shape"]:
     """Return where numbers are rungs of the rule's ladder."""
-    return (rungs >= 0) & (rungs < len(rule.ladder))
+    return checks.in_ladder(len(rule.ladder), rungs)
 
 
-def refuse_rungs(rule: Rule[Any], rungs: Int[Any, "*steps humans"]) -> None:
+def refuse_rungs(rule: Rule[Evidence], rungs: Int[Array, "*steps humans"]) -> None:
     """Refuse numbers that a rule chose and that are no rungs of its ladder.
 
     Raises:
         ValueError: naming the rule and the first such numbers, or the estimator whose
             gains were no numbers.
     """
-    rungs = np.asarray(rungs)
-    if (rungs == NO_GAINS).any():
-        raise ValueError(_gains_message(rule))
-    wrong = ~in_ladder(rule, rungs).all(axis=-1)
-    if wrong.any():
-        first = rungs[wrong][0] if rungs.ndim > 1 else rungs
-        remedy = _rungs_remedy(rule, rungs.shape[-1])
-        raise ValueError(
-            f"the rule {rule.name} returned the rungs {first.tolist()}; {remedy}"
-        )
-
-
-def _rungs_remedy(rule: Rule[Any], humans: int) -> str:
-    names = ", ".join(
-        f"{place} for {model.name}" for place, model in enumerate(rule.ladder)
-    )
-    return f"return one whole number for each human, {humans} in all: {names}"
-
-
-def _gains_message(rule: Rule[Any]) -> str:
-    remedy = "return -inf (NOT_ESTIMATED) where no gain is known"
-    return (
-        f"the estimator {type(rule.estimator).__name__} returned gains that are NaN or"
-        f" infinite; {remedy}"
-    )
-
-
-def shipped_kind(semantics: str, humans: int) -> str:
-    """Return the kind of scene for which the package has costs and learned values, a
-    key of `SHIPPED_COSTS`.
-    """
-    if humans == 1:
-        return "physical" if semantics == "physical" else "pair"
-    return "physical several" if semantics == "physical" else "several"
-
-
-def highest_gains(
-    gains: Float[np.ndarray, "*steps humans rungs"],
-) -> Float[np.ndarray, "*steps rungs"]:
-    """Return the highest gain of each rung over all humans, NaN where none was
-    estimated.
-    """
-    known = np.isfinite(gains)
-    return np.where(
-        known.any(axis=-2), np.where(known, gains, -np.inf).max(axis=-2), np.nan
-    )
+    checks.refuse_rungs(rule.names, rungs)

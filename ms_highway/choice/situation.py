@@ -1,5 +1,6 @@
-"""Describe humans' situations by numbers that mean the same in all scenes, for learned
-values of computation.
+"""Describe humans' situations by numbers that mean the same in all scenes.
+
+Learned values of computation take these numbers.
 """
 
 from functools import partial
@@ -15,39 +16,43 @@ from ms_highway.game.reward import PAPER_FEATURES, Reward
 from ms_highway.game.scene import headways, neighbours
 from ms_highway.runtime.arrays import Array, Index, Rungs, State
 
-LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)  # s, during which all cars keep their velocity
-DRIVERS = ("robot", "human")
-STATE = ("x", "y", "heading", "speed")
-PLACES = ("ahead", "behind", "ahead left", "behind left", "ahead right", "behind right")
+LOOKAHEADS = (0.0, 0.5, 1.0, 2.0)
+"""Times during which all cars keep their velocity [s]. Shipped values know these."""
 
 
 def description_names() -> tuple[str, ...]:
     """Return the names of the numbers of `describe`, in their order."""
-    terms = (
-        *PAPER_FEATURES,
-        "other",
-        *(f"d/d {whose} {part}" for whose in ("own", "partner's") for part in STATE),
-    )
-    of_drivers = [
-        f"{driver}: {term} after {time:g} s"
-        for driver in DRIVERS
+    state = ("x", "y", "heading", "speed")
+    slopes = [f"d/d {whose} {part}" for whose in ("own", "partner's") for part in state]
+    terms = (*PAPER_FEATURES, "other", *slopes)
+
+    players = ("robot", "human")
+    rewards = [
+        f"{player}: {term} after {time:g} s"
+        for player in players
         for time in LOOKAHEADS
         for term in terms
     ]
     relative = [f"{part} ahead of human" for part in ("x", "y", "speed")]
     own = [
-        f"{driver}: {part}"
-        for driver in DRIVERS
+        f"{player}: {part}"
+        for player in players
         for part in ("heading", "speed", "y from target lane")
     ]
-    gaps = [f"{driver}: time gap {place}" for driver in DRIVERS for place in PLACES]
-    return (*of_drivers, *relative, *own, *gaps, "share of humans nearer to the robot")
+    places = (
+        *("ahead", "behind"),
+        *("ahead left", "behind left"),
+        *("ahead right", "behind right"),
+    )
+    gaps = [f"{player}: time gap {place}" for player in players for place in places]
+    return (*rewards, *relative, *own, *gaps, "share of humans nearer to the robot")
 
 
 def describe(
     game: Game, state: State, humans: Int[Array, "some"]
 ) -> Float[jax.Array, "some numbers"]:
-    """Compute the numbers by which learned values choose, for some humans;
+    """Compute the numbers by which learned values choose, for some humans.
+
     `description_names` names them.
 
     For robot and human, after all cars have kept their velocity for each of
@@ -65,38 +70,49 @@ def describe(
         state: all cars.
         humans: places of the humans to describe.
     """
-    state, (length, _) = jnp.asarray(state), game.scene.car_size
+    state = jnp.asarray(state)
+    car_length, _ = game.scene.car_size
     rank = nearness(game, state)
 
     def gaps(car: Index) -> Float[jax.Array, "6"]:
+        """Return the compressed time gaps of a car to the cars around it."""
         others = state[jnp.asarray(others_of(len(state)))[car]]
         present = jnp.ones(len(others), bool)
         width = jnp.asarray(game.scene.lane_width)
         return jnp.log1p(
-            headways(state[car], neighbours(state[car], others, present, width), length)
+            headways(
+                state[car], neighbours(state[car], others, present, width), car_length
+            )
         )
 
     def one(human: Index) -> Float[jax.Array, "numbers"]:
         numbers = _describe_pair(*pair(game, state, human))
-        return jnp.concatenate(
-            [numbers, gaps(0), gaps(1 + human), rank[human][None] / game.number]
-        )
+        of_robot = gaps(0)
+        of_human = gaps(1 + human)
+        nearer = rank[human][None] / game.number
+        return jnp.concatenate([numbers, of_robot, of_human, nearer])
 
     return jax.vmap(one)(humans)
 
 
 def nearness(game: Game, state: State) -> Rungs:
-    """Return, for each human, how many are nearer to the robot; of equally near ones,
-    the first counts as nearer.
+    """Return, for each human, how many are nearer to the robot.
+
+    Of equally near ones, the first counts as nearer.
     """
     places = jnp.asarray(state)[: 1 + game.number, :2]
-    return jnp.argsort(jnp.argsort(jnp.linalg.norm(places[1:] - places[0], axis=1)))
+    distances = jnp.linalg.norm(places[1:] - places[0], axis=1)
+    return jnp.argsort(jnp.argsort(distances))
 
 
 def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
+    """Return the compressed numbers of the robot and a human alone."""
     unit = jnp.asarray(game.scene.length_unit)
     limit = jnp.asarray(game.robot.speed_limit)
-    _, y, turned, speed = jnp.moveaxis(state, -1, 0)
+    _, y, turned, speed = jnp.moveaxis(state, -1, 0)  # each [cars]
+
+    # States after all cars have kept their velocity, [lookaheads, cars, 4], and the
+    # same with the human as the first car.
     heading = without_turns(turned)
     none = jnp.zeros_like(speed)
     velocity = jnp.stack(
@@ -104,32 +120,37 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
     )
     coasted = state + jnp.asarray(LOOKAHEADS)[:, None, None] * velocity
     mirrored = jnp.concatenate([coasted[:, 1::-1], coasted[:, 2:]], axis=1)
-    terms = jax.vmap(partial(_terms, game))(
-        game.players(), jnp.stack([coasted, mirrored])
-    )
-    relative = (state[0] - state[1]) / jnp.stack(
-        [unit, unit, jnp.ones_like(unit), limit]
-    )
-    aside = (y[:2] - game.scene.target_lane) / unit
-    own = jnp.stack([heading[:2], speed[:2] / limit, aside], axis=1)
-    numbers = jnp.concatenate(
-        [terms.ravel(), relative[jnp.array([0, 1, 3])], own.ravel()]
-    )
+
+    # What both rewards are then, and how they change: [players, lookaheads, terms].
+    players = game.players()
+    states = jnp.stack([coasted, mirrored])
+    terms = jax.vmap(partial(_terms, game))(players, states)
+
+    # Where the two are to each other, and each to the road.
+    difference = state[0] - state[1]
+    relative = difference / jnp.stack([unit, unit, jnp.ones_like(unit), limit])
+    from_target_lane = (y[:2] - game.scene.target_lane) / unit
+    own = jnp.stack([heading[:2], speed[:2] / limit, from_target_lane], axis=1)
+
+    x_y_speed = jnp.array([0, 1, 3])
+    numbers = jnp.concatenate([terms.ravel(), relative[x_y_speed], own.ravel()])
     return jnp.sign(numbers) * jnp.log1p(jnp.abs(numbers))
 
 
 def _terms(
-    game: Game, driver: Reward, states: Float[jax.Array, "times cars 4"]
+    game: Game, player: Reward, states: Float[jax.Array, "times cars 4"]
 ) -> Float[jax.Array, "times terms"]:
-    """Return the weighted features of one driver, car 0, and its reward's derivatives
-    in both cars' states.
+    """Return the weighted features of one player, car 0, and its reward's derivatives.
+
+    The derivatives are those in both cars' states.
     """
     weighted, pull = jax.vjp(
-        lambda states: features(game.scene, driver, states) * driver.weights, states
+        lambda states: features(game.scene, player, states) * player.weights, states
     )
     papers = weighted[:, : len(PAPER_FEATURES)]
     other = weighted[:, len(PAPER_FEATURES) :].sum(axis=1, keepdims=True)
-    slopes = pull(jnp.ones_like(weighted))[0][:, :2]
+
+    slopes = pull(jnp.ones_like(weighted))[0][:, :2]  # [times, 2 cars, 4]
     unit = jnp.asarray(game.scene.length_unit)
     slopes = slopes * jnp.stack([unit, unit, jnp.ones_like(unit), unit])
     return jnp.concatenate([papers, other, slopes.reshape(len(states), -1)], axis=1)

@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 from gymnasium.utils import seeding
 
-from ms_highway.choice.rule import compilable, highest_gains
+from ms_highway.choice.records import highest_gains
+from ms_highway.choice.rule import compilable
 from ms_highway.envs import ENVIRONMENTS
 from ms_highway.envs.agents import is_agent
 from ms_highway.envs.base import InteractionEnv

@@ -15,7 +15,6 @@ import pandas as pd
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
-from ms_highway.loop.step import BRAKING, LATE, PREVIOUS_PLAN, STATUSES, WAY_OUT
 from ms_highway.planning.ladders import known_models, rung_names
 from ms_highway.runtime.definitions import definition_sources
 from ms_highway.runtime.sources import Sources, digest, imported_sources
@@ -203,7 +202,7 @@ NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]
 """Columns that records of live steps must have, without empty cells."""
 
 TEXTS = ("scenario", "controller", "model", "status")
-FAILED = STATUSES[PREVIOUS_PLAN], STATUSES[BRAKING]
+FAILED = "previous plan", "braking"
 STATES = [
     f"{car}_{name}"
     for car in ("robot", "human")
@@ -259,10 +258,10 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
     """
     models = list(models) or known_models(steps["model"].unique())
     shares = {f"share_{name}": steps["model"] == name for name in models}
-    shares["way_out"] = steps["status"] == STATUSES[WAY_OUT]
+    shares["way_out"] = steps["status"] == "way out"
     measured = [name for name in MEASURED[:2] if name in steps]
     if measured:
-        shares["late"] = steps["status"] == STATUSES[LATE]
+        shares["late"] = steps["status"] == "late"
     sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
     counts = [f"humans_{name}" for name in models_of(steps, "humans")]
     episodes = steps.assign(**shares, **sums).groupby((steps["step"] == 0).cumsum())

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import numpy as np
 
-from ms_highway.choice.choosers import TOGETHER
+from ms_highway.choice.choosers import PriceTogether
 from ms_highway.choice.rule import GameEvidence, Rule
 from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
@@ -191,10 +191,10 @@ class Driving:
     def roll_out(self, random: Random, count: int) -> Rollouts:
         """Visit ``count`` states and roll out from each of them.
 
-        There is a rollout for every rung and for one, two and up to `TOGETHER` of the
-        nearest humans. The rung predicts these humans for some steps, and naive the
-        others. Then the rule chooses for all, at the geometric mean of the prices;
-        before the first fit, naive predicts all.
+        There is a rollout for every rung and for one, two and up to
+        `PriceTogether.most_humans` of the nearest humans. The rung predicts these
+        humans for some steps, and naive the others. Then the rule chooses for all, at
+        the geometric mean of the prices; before the first fit, naive predicts all.
         """
         states, weights = self._visited(random, count)
         game = self.batch.loop.game
@@ -203,7 +203,7 @@ class Driving:
         own = [list(how.costs).index(name) for name in self.batch.rungs]
         held = min(how.held, how.horizon)
         ranks = np.asarray(_rank(game, states))
-        asked = min(TOGETHER, humans)
+        asked = min(PriceTogether.most_humans, humans)
         ways = [
             (0, 0),
             *product(range(1, len(own)), range(1, asked + 1)),

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.choice.quadratic import RELEASED_TRUST_TOLERANCE, Switching
+from ms_highway.choice.quadratic import Quadratic, Switching
 from ms_highway.choice.rule import (
     PUBLISHED_COSTS,
     GameEvidence,
@@ -165,7 +165,7 @@ def _decisions(
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
     switching = Switching(
-        costs, price, ladder(names), trust_tolerance=RELEASED_TRUST_TOLERANCE
+        costs, price, ladder(names), trust_tolerance=Quadratic.released_tolerance
     )
     logged = np.argmax(
         episodes["models"][..., None] == episodes["ladder"], axis=-1

@@ -1,5 +1,6 @@
-"""Run many episodes of the closed loop at once in pure JAX: a rule decides, robot and
-humans plan, the world moves.
+"""Run many episodes of the closed loop at once in pure JAX.
+
+In each step of an episode, a rule decides, robot and humans plan, and the world moves.
 
 Environments call the same pure functions, so that both loops agree. Planning times are
 not measured: T comes from a table, and no plan is late.
@@ -8,11 +9,12 @@ not measured: T comes from a table, and no plan is late.
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Float
 
 from ms_highway.choice.rule import (
     NOT_ESTIMATED,
@@ -24,45 +26,52 @@ from ms_highway.choice.rule import (
     refuse_rungs,
     unestimated,
 )
-from ms_highway.choice.rule import decide as chosen_by
+from ms_highway.choice.rule import decide as decide_by
 from ms_highway.game.dynamics import keep_velocity, within_grip
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game, each_human, swap_players
+from ms_highway.loop.braking import brake
+from ms_highway.loop.game_parts import choose, plan_start
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes, Loop, Records
 from ms_highway.loop.step import (
-    PLANNED,
-    Carry,
-    Choice,
+    GameCarry,
+    GameChoice,
+    GameParts,
+    GamePlan,
     NewPlan,
     Parts,
     RemainingPlan,
     begin,
-    brake,
-    choose,
     follow,
     no_plan,
-    plan_start,
+    status_number,
     step,
 )
 from ms_highway.planning.compiled_plans import plan_for
 from ms_highway.planning.human_models import HumanModel, plan_alone, warn_of_limits
 from ms_highway.planning.plans import Plan, Solution
 from ms_highway.planning.way_out import keep_way_out
-from ms_highway.runtime.arrays import Control, Flag, Index, Rungs, State, for_rows
+from ms_highway.runtime.arrays import (
+    Array,
+    Control,
+    Flag,
+    Index,
+    Rungs,
+    State,
+    for_rows,
+)
 from ms_highway.runtime.compilation import Devices, jit_quickly, share_among
 from ms_highway.runtime.process import refuse_after_fork
 
-EPISODES = "episodes"  # axis of a chunk, over which JAX maps
-
 
 def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> Records:
-    """Run episodes, shared by devices, see
-    `ms_highway.runtime.compilation.share_among`.
+    """Run episodes, shared by devices.
 
-    A device computes the episodes chunk by chunk, and a human model only for chunks
-    that use it. With several humans, it computes episodes one by one, as a plan takes
-    as many rounds as there are humans to predict.
+    See `ms_highway.runtime.compilation.share_among`. A device computes the episodes
+    chunk by chunk, and a human model only for chunks that use it. With several humans,
+    it computes episodes one by one, as a plan takes as many rounds as there are humans
+    to predict.
 
     Numbers are not checked: rewards are not finite where a state or a weight is not
     finite.
@@ -103,17 +112,20 @@ def checked_records(loop: Loop, records: Records) -> Records:
     """
     if records.chosen is not None:
         refuse_rungs(loop.rule, records.chosen)
+
+    # A reward that is not finite in a finite state comes from a feature of the user's.
     robot = loop.game.robot
     if robot.own:
         rewards = np.asarray(records.reward)
         states = np.asarray(records.states)
-        failed = states[~np.isfinite(rewards) & np.isfinite(states).all(axis=(-2, -1))]
+        finite_states = np.isfinite(states).all(axis=(-2, -1))
+        failed = states[~np.isfinite(rewards) & finite_states]
         for state in failed[:1]:
             check_own_features(loop.game.scene, robot, 0, state, gradients=False)
     return records._replace(chosen=None)
 
 
-class Now(NamedTuple):
+class EpisodeCarry(NamedTuple):
     """What an episode carries from step to step.
 
     Attributes:
@@ -123,15 +135,15 @@ class Now(NamedTuple):
     """
 
     state: State
-    robot: Carry
-    humans: RemainingPlan
+    robot: GameCarry
+    humans: RemainingPlan[Plan]
 
 
 class StepInputs(NamedTuple):
     """What an episode gets for a step.
 
     Attributes:
-        scheduled: numbers of the humans' models, see `Episodes`.
+        scheduled: rungs of the humans' models, see `Episodes`.
         controls: of the robot, if an agent drives it; None if it plans.
     """
 
@@ -139,135 +151,144 @@ class StepInputs(NamedTuple):
     controls: Control | None = None
 
 
-def believed(game: Game, own: Episodes) -> Game:
+def believed(game: Game, episode: Episodes) -> Game:
     """Return the game as the robot of an episode believes it."""
-    return replace(game, robot=replace(game.robot, weights=own.robot_weights))
+    return replace(game, robot=replace(game.robot, weights=episode.robot_weights))
 
 
-@partial(
-    jit_quickly, xla_cpu_parallel_codegen_split_count=1
-)  # or LLVM rounds differently where more threads compile
+# LLVM would round differently where more threads compile.
+@partial(jit_quickly, xla_cpu_parallel_codegen_split_count=1)
 def _simulate(loop: Loop, episodes: Episodes) -> Records:
     """Run a chunk of episodes."""
-    begun = begin_episodes(loop, episodes.starts)
+    first = begin_episodes(loop, episodes.starts)
     by_step = StepInputs(jnp.swapaxes(episodes.schedules, 0, 1))
-    _, records = jax.lax.scan(partial(step_episodes, loop, episodes), begun, by_step)
+    _, records = jax.lax.scan(partial(step_episodes, loop, episodes), first, by_step)
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
-def begin_episodes(loop: Loop, starts: State) -> Now:
-    """Return what episodes carry into their first step, given the states [episodes,
-    cars, 4] of all cars.
-    """
+def begin_episodes(loop: Loop, starts: Float[Array, "episodes cars 4"]) -> EpisodeCarry:
+    """Return what episodes carry into their first step, from these states."""
     game = loop.game
 
-    def begun(start: State) -> Now:
+    def begin_one(start: State) -> EpisodeCarry:
         none = no_plan(game.planner.horizon, 1)
         humans = jax.tree.map(lambda part: jnp.stack([part] * game.number), none)
-        return Now(start, begin(loop.rule, game, start), humans)
+        return EpisodeCarry(start, begin(loop.rule, game, start), humans)
 
-    return jax.vmap(begun)(starts)
+    return jax.vmap(begin_one)(starts)
 
 
 def step_episodes(
-    loop: Loop, own: Episodes, now: Now, inputs: StepInputs
-) -> tuple[Now, Records]:
+    loop: Loop, episodes: Episodes, carry: EpisodeCarry, inputs: StepInputs
+) -> tuple[EpisodeCarry, Records]:
     """Advance a chunk of episodes by one step."""
-    # A step needs neither the starts nor the schedules.
-    own = replace(own, starts=None, schedules=None)  # type: ignore[arg-type]
+    # A step needs neither the start nor the schedule of an episode.
+    episodes = replace(episodes, starts=None, schedules=None)  # type: ignore[arg-type]
     advance = partial(_step, loop)
     if loop.together > 1:
-        return jax.vmap(advance, axis_name=EPISODES)(own, now, inputs)
-    return for_rows(advance, own, now, inputs)
+        return jax.vmap(advance, axis_name=loop.axis)(episodes, carry, inputs)
+    return for_rows(advance, episodes, carry, inputs)
 
 
 def _step(
-    loop: Loop, own: Episodes, now: Now, inputs: StepInputs
-) -> tuple[Now, Records]:
-    """Advance an episode by one step: the robot plans, or executes an agent's control;
-    then the world moves.
+    loop: Loop, episode: Episodes, carry: EpisodeCarry, inputs: StepInputs
+) -> tuple[EpisodeCarry, Records]:
+    """Advance an episode by one step.
+
+    The robot plans, or executes an agent's control; then the world moves.
     """
     if inputs.controls is not None:
-        return _steer(loop, now, own, inputs.controls)
-    game = believed(loop.game, own)
-    robot, result = step(now.robot, now.state, batch_parts(loop, own, inputs.scheduled))
+        return _steer(loop, episode, carry, inputs.controls)
+
+    # Let the robot choose models, plan, and execute its first control.
+    game = believed(loop.game, episode)
+    parts = batch_parts(loop, episode, inputs.scheduled)
+    robot, result = step(carry.robot, carry.state, parts)
     control = result.driven.plan.robot[0] * game.planner.control_scale
-    control = _executed(game, now.state[0, 3], control)
+    control = _within_grip(game, carry.state[0, 3], control)
 
     # Record the step. What a rule of the user's chose is checked afterwards.
     decision = result.choice.decision
     by_rule = inputs.scheduled == DECIDES
+    gains = jnp.asarray(decision.gains, jnp.float32)
+    chosen = None
+    if not is_of_package(loop.rule):
+        chosen = jnp.where(by_rule, decision.memory.rungs, 0)
     records = Records(
-        result.driven.rungs,
-        result.choice.rungs,
-        jnp.asarray(result.status),
-        gains=jnp.asarray(decision.gains, jnp.float32),
-        chosen=(
-            None
-            if is_of_package(loop.rule)
-            else jnp.where(by_rule, decision.memory.rungs, 0)
-        ),
+        rungs=result.driven.rungs,
+        planned=result.choice.rungs,
+        status=jnp.asarray(result.status),
+        gains=gains,
+        chosen=chosen,
     )
-    return _world(loop, now._replace(robot=robot), own, control, records)
+    return _move_world(loop, episode, carry._replace(robot=robot), control, records)
 
 
-def batch_parts(loop: Loop, own: Episodes, scheduled: Rungs) -> Parts:
-    """Return the parts of a step of the robot in an episode, see
-    `ms_highway.loop.step`; no plan is late.
+def batch_parts(loop: Loop, episode: Episodes, scheduled: Rungs) -> GameParts:
+    """Return the parts of a step of the robot in an episode; no plan is late.
+
+    See `ms_highway.loop.step`.
 
     Args:
         loop: what the episodes share.
-        own: what is the episode's own.
-        scheduled: numbers of the humans' models in this step, or `DECIDES`.
+        episode: what is its own.
+        scheduled: rungs of the humans' models in this step, or `DECIDES`.
     """
-    game = believed(loop.game, own)
-    decide = partial(_decide, loop, own, game, scheduled)
+    game = believed(loop.game, episode)
+    decide = partial(_decide, loop, episode, game, scheduled)
     return Parts(
-        partial(choose, game, loop.models, loop.unresponsive, decide),
-        partial(_plan, loop, game),
-        partial(brake, game),
+        choose=partial(choose, game, loop.models, loop.unresponsive, decide),
+        plan=partial(_plan, loop, game),
+        brake=partial(brake, game),
         escape=partial(keep_way_out, game) if loop.way_out else None,
     )
 
 
 def _decide(
     loop: Loop,
-    own: Episodes,
+    episode: Episodes,
     game: Game,
     scheduled: Rungs,
     memory: Memory,
-    outcome: Outcome,
+    outcome: Outcome[State],
 ) -> Decision:
-    """Take the models of a schedule or, where it says so, let the rule decide at the
-    episode's price.
+    """Take the models of a schedule or, where it says so, let the rule decide.
+
+    The rule decides at the episode's price.
     """
     by_rule = scheduled == DECIDES
-    decision = _where_needed(
-        loop,
-        by_rule.any(),
-        lambda: chosen_by(at_price(loop.rule, own.prices), game, memory, outcome),
-        unestimated(memory, memory.rungs),
-    )
+    is_needed = by_rule.any()
+    undecided = unestimated(memory, memory.rungs)
+
+    def decide() -> Decision:
+        return decide_by(at_price(loop.rule, episode.prices), game, memory, outcome)
+
+    decision = _where_needed(loop, is_needed, decide, undecided)
     rungs = jnp.where(by_rule, decision.memory.rungs, scheduled).astype(jnp.int32)
     return decision._replace(memory=decision.memory._replace(rungs=rungs))
 
 
+Result = TypeVar("Result")
+
+
 def _where_needed(
-    loop: Loop, needed: Flag, function: Callable[[], Any], otherwise: Any
-) -> Any:
-    """Compute a function if some episode of the chunk needs it; the other episodes keep
-    ``otherwise``.
+    loop: Loop, needed: Flag, function: Callable[[], Result], otherwise: Result
+) -> Result:
+    """Compute a function if some episode of the chunk needs it.
+
+    The other episodes keep ``otherwise``.
     """
-    somewhere = jax.lax.pmax(needed, EPISODES) if loop.together > 1 else needed
+    somewhere = jax.lax.pmax(needed, loop.axis) if loop.together > 1 else needed
     found = jax.lax.cond(somewhere, function, lambda: otherwise)
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
 
 
 def _plan(
-    loop: Loop, game: Game, state: State, choice: Choice, last: RemainingPlan
-) -> NewPlan:
-    """Plan for an episode; with one human, compute only the models that some episode of
-    the chunk uses.
+    loop: Loop, game: Game, state: State, choice: GameChoice, last: RemainingPlan[Plan]
+) -> GamePlan:
+    """Plan for an episode.
+
+    With one human, compute only the models that some episode of the chunk uses.
     """
     rungs = choice.rungs
     start = plan_start(loop.models, game, state, rungs, last)
@@ -278,79 +299,104 @@ def _plan(
     if game.number > 1:
         solution = planned(loop.models, rungs)
     else:
-        still = jnp.zeros((game.planner.horizon, 2))
-        solution = Solution(Plan(still, still[None]), jnp.int32(0), jnp.bool(False))
-        for number, model in enumerate(loop.models):
+        zeros = jnp.zeros((game.planner.horizon, 2))
+        solution = Solution(Plan(zeros, zeros[None]), jnp.int32(0), jnp.bool(False))
+        for rung, model in enumerate(loop.models):
             by_model = partial(planned, (model,), jnp.zeros_like(rungs))
-            solution = _where_needed(loop, rungs[0] == number, by_model, solution)
-    return NewPlan(solution.plan, solution.plan, solution.steps, solution.converged)
+            solution = _where_needed(loop, rungs[0] == rung, by_model, solution)
+
+    plan = solution.plan
+    return NewPlan(plan, plan, solution.steps, solution.converged, details=None)
 
 
 def _steer(
-    loop: Loop, now: Now, own: Episodes, control: Control
-) -> tuple[Now, Records]:
-    """Let the robot execute a control, the humans plan and the world move; reward the
-    robot.
-    """
-    none = jnp.zeros(loop.game.number, jnp.int32)
-    gains = jnp.full(
-        (loop.game.number, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32
-    )
-    return _world(
-        loop, now, own, control, Records(none, none, jnp.int32(PLANNED), gains=gains)
-    )
+    loop: Loop, episode: Episodes, carry: EpisodeCarry, control: Control
+) -> tuple[EpisodeCarry, Records]:
+    """Let the robot execute a control, and the world move; reward the robot."""
+    humans = loop.game.number
+    first_rungs = jnp.zeros(humans, jnp.int32)
+    gains = jnp.full((humans, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32)
+    planned = jnp.int32(status_number("planned"))
+    records = Records(first_rungs, first_rungs, planned, gains=gains)
+    return _move_world(loop, episode, carry, control, records)
 
 
-def _executed(game: Game, speed: Any, controls: Any) -> Any:
+def _within_grip(
+    game: Game,
+    speeds: Float[Array, "*cars"],
+    controls: Float[Array, "*cars 2"],
+) -> Float[Array, "*cars 2"]:
     """Limit planned controls to what tyres hold at these speeds, as vehicles do."""
     grip = game.planner.grip
-    return (
-        controls
-        if grip is None
-        else within_grip(game.world, jnp.asarray(grip), speed, controls)
-    )
+    if grip is None:
+        return controls
+    return within_grip(game.world, jnp.asarray(grip), speeds, controls)
 
 
-def _world(
-    loop: Loop, now: Now, own: Episodes, robot: Control, records: Records
-) -> tuple[Now, Records]:
-    """Let the humans plan and the world move under the robot's control, not scaled;
-    complete the records.
+def _move_world(
+    loop: Loop,
+    episode: Episodes,
+    carry: EpisodeCarry,
+    control: Control,
+    records: Records,
+) -> tuple[EpisodeCarry, Records]:
+    """Let the humans plan and all cars move; complete the records.
+
+    Args:
+        loop: what the episodes share.
+        episode: what is its own.
+        carry: into the step; of the robot, out of it.
+        control: of the robot, not scaled.
+        records: of the robot's step.
     """
-    game = believed(loop.game, own)
-    state = now.state
-    last = 1 + game.number
-    truth = replace(
-        loop.game, humans=replace(loop.game.humans, weights=own.human_weights)
-    )
-
-    def drive(human: Index) -> tuple[Control, RemainingPlan]:
-        """Return a human's control, and the plan to fall back on in the next step."""
-        view, turned = swap_players(truth, state, human)
-        before = jax.tree.map(lambda part: part[human], now.humans)
-        plan = plan_alone(view, turned).plan
-        driven, fallback, _ = follow(
-            NewPlan(plan, plan), before.rungs, before, turned, partial(brake, view)
-        )
-        control = driven.plan.robot[0] * game.planner.control_scale
-        for number, driver in enumerate(loop.drivers, HUMAN_PLANS + 1):
-            control = jnp.where(
-                own.drivers[human] == number, driver(view, turned), control
-            )
-        return control, fallback
+    game = believed(loop.game, episode)
+    state = carry.state
+    human_cars = slice(1, 1 + game.number)
 
     # All cars move at once: humans as they drive, scripted cars at their velocity.
-    controls, fallbacks = each_human(game, drive)
-    controls = _executed(game, state[1:last, 3], controls)
-    driven = jnp.concatenate(
-        [robot[None], controls, keep_velocity(game.world, state[last:])]
+    wanted, fallbacks = _drive_humans(loop, episode, carry)
+    controls = _within_grip(game, state[human_cars, 3], wanted)
+    scripted_cars = slice(human_cars.stop, None)
+    all_controls = jnp.concatenate(
+        [control[None], controls, keep_velocity(game.world, state[scripted_cars])]
     )
-    after = move(game.world, state, driven)
+    after = move(game.world, state, all_controls)
 
     # Reward the robot.
     phi = features(game.scene, game.robot, after)
     reward = phi @ game.robot.weights
     collision = phi[game.robot.names.index("collision")] > 0
-    return now._replace(state=after, humans=fallbacks), records._replace(
-        reward=reward, collision=collision, states=after
-    )
+    records = records._replace(reward=reward, collision=collision, states=after)
+    return carry._replace(state=after, humans=fallbacks), records
+
+
+def _drive_humans(
+    loop: Loop, episode: Episodes, carry: EpisodeCarry
+) -> tuple[Float[jax.Array, "humans 2"], RemainingPlan[Plan]]:
+    """Return the humans' controls, not scaled, and the plans to fall back on next.
+
+    Humans plan for their own rewards, or a driver of `Loop.drivers` drives them.
+    """
+    true_rewards = replace(loop.game.humans, weights=episode.human_weights)
+    truth = replace(loop.game, humans=true_rewards)
+
+    def drive(human: Index) -> tuple[Control, RemainingPlan[Plan]]:
+        """Return a human's control, and the plan to fall back on in the next step."""
+        view, seen = swap_players(truth, carry.state, human)
+        last = jax.tree.map(lambda part: part[human], carry.humans)
+
+        # The control of its plan, or of what takes its place.
+        plan = plan_alone(view, seen).plan
+        planned = NewPlan(plan, plan, 0, False, details=None)
+        driven, fallback, _ = follow(
+            planned, last.rungs, last, seen, partial(brake, view)
+        )
+        control = driven.plan.robot[0] * loop.game.planner.control_scale
+
+        # The control of a driver, where one drives.
+        for number, driver in enumerate(loop.drivers, HUMAN_PLANS + 1):
+            drives = episode.drivers[human] == number
+            control = jnp.where(drives, driver(view, seen), control)
+        return control, fallback
+
+    return each_human(loop.game, drive)

@@ -1,5 +1,4 @@
-"""Define controllers and the records of their steps; drive humans by functions of the
-state instead of plans.
+"""Define controllers, and drivers of humans that do not plan.
 
 Controllers take and return float64 NumPy states and controls in SI units. They drive
 car 0; the next cars are its partners. Two functions of the package drive humans: one
@@ -13,25 +12,25 @@ from dataclasses import dataclass
 from functools import partial
 from inspect import signature
 from time import perf_counter
-from typing import Any, Protocol, TypeAlias
+from typing import ClassVar, Protocol, TypeAlias, TypeGuard, cast
 
 import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from ms_highway.choice.rule import highest_gains
+from ms_highway.choice.records import highest_gains
 from ms_highway.game.dynamics import facing, keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
 from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import (
-    Belief,
     Control,
     Controls,
     Gains,
     HumansControls,
+    ModelProbabilities,
     SameArray,
     State,
     naming_writes,
@@ -80,7 +79,7 @@ class ControlStep:
     gains: Gains | None = None
     choice_failed: bool = False
     status: Status = "planned"
-    belief: Belief | None = None
+    belief: ModelProbabilities | None = None
     planned: tuple[str, ...] = ()
     plan_steps: int = 0
     converged: bool = False
@@ -88,11 +87,10 @@ class ControlStep:
     @property
     def model(self) -> str:
         """Name of the most expensive model in use."""
-        return (
-            ("", *cheapest_first(self.models))[-1]
-            if self.models[1:]
-            else self.models[0]
-        )
+        if len(self.models) == 1:
+            return self.models[0]
+        named = cheapest_first(self.models)  # on stock roads, paths may have no model
+        return named[-1] if named else ""
 
     @property
     def counted_models(self) -> tuple[str, ...]:
@@ -125,22 +123,7 @@ class Controller(Protocol):
         """Return the control of the coming step, from the states of all cars now."""
 
 
-# Functions of the state that drive
-
-YIELD_GAP = 8.0  # m, between bumpers, made for the robot
-YIELD_BRAKING = 3.0  # m/s^2, for the robot
-MAX_BRAKING = 8.0  # m/s^2
-MIN_GAP = 0.5  # m, below which braking grows no further
-YIELD_LANES = 1.5  # lanes to the side, within which a human makes room
-
-RETURN = "return a curvature [1/m] and an acceleration [m/s^2]"
-REMEMBER = (
-    "give add_driver an object with `reset(key)`, which keeps its memory and its random"
-    " numbers in itself"
-)
-# largest relative difference between two answers to the same question, for rounding
-SAME_ANSWER = 1e-6
-KEYS = 2**31  # number of keys of episodes; NumPy and JAX take each of them as a seed
+# Drivers of humans that do not plan
 
 DriverFunction: TypeAlias = Callable[[Game, State], Control]
 """Control of a car from its own game, where it is car 0, and the state of all cars
@@ -149,50 +132,66 @@ DriverFunction: TypeAlias = Callable[[Game, State], Control]
 
 
 class RememberingDriver(Protocol):
-    """A driver that remembers or draws; every car that it drives in an episode gets a
-    copy of its own.
+    """A driver that remembers or draws.
+
+    Every car that it drives in an episode gets a copy of its own.
     """
 
-    def reset(self, key: int) -> Any:
-        """Forget the past, before a new episode, and take ``key`` as the seed of all
-        random numbers.
+    def reset(self, key: int) -> object:
+        """Forget the past, before a new episode.
+
+        Args:
+            key: seed of all random numbers.
         """
 
     def __call__(self, game: Game, state: State) -> Control:
         """Return the control of the coming step."""
 
 
-def remembers(driver: Any) -> bool:
-    """Return whether a driver has a memory, see `RememberingDriver`, or is a class of
-    such drivers.
+HumanDriver: TypeAlias = DriverFunction | RememberingDriver | type
+"""What may drive a human: a function, an object that remembers, a class of such
+objects, or a class of highway-env vehicles.
+"""
+
+
+def remembers(
+    driver: object,
+) -> TypeGuard[RememberingDriver | type[RememberingDriver]]:
+    """Return whether a driver has a memory, or is a class of such drivers.
+
+    See `RememberingDriver`.
     """
     return hasattr(driver, "reset") and not is_vehicle(driver)
 
 
-def is_vehicle(driver: Any) -> bool:
+def is_vehicle(driver: object) -> TypeGuard[type[Vehicle]]:
     """Return whether a driver is a class of highway-env vehicles."""
     return isinstance(driver, type) and issubclass(driver, Vehicle)
 
 
-def new_driver(driver: Any) -> DriverFunction:
-    """Return what drives one car in one episode: a function itself, a copy of an
-    object, or an object of a class.
+def new_driver(driver: HumanDriver) -> DriverFunction:
+    """Return what drives one car in one episode.
+
+    It is a function itself, a copy of an object, or an object of a class.
     """
     if not remembers(driver):
-        return driver
+        return cast(DriverFunction, driver)
     return driver() if isinstance(driver, type) else deepcopy(driver)
 
 
-def draw_key(driver: Any, random: np.random.Generator) -> int:
-    """Return the key of an episode for a driver that remembers; draw nothing for
-    others.
+def draw_key(driver: HumanDriver, random: np.random.Generator) -> int:
+    """Return the key of an episode for a driver that remembers.
+
+    For other drivers, draw nothing.
     """
-    return int(random.integers(KEYS)) if remembers(driver) else 0
+    keys = 2**31  # NumPy and JAX take each of them as a seed
+    return int(random.integers(keys)) if remembers(driver) else 0
 
 
-def check_driver(name: str, driver: Any) -> None:
-    """Check that something drives: a function, an object or a class with a memory, or a
-    class of vehicles.
+def check_driver(name: str, driver: object) -> None:
+    """Check that something drives.
+
+    A function does, an object or a class with a memory, or a class of vehicles.
 
     Raises:
         ValueError: if it does not; it names the driver and a remedy.
@@ -200,17 +199,28 @@ def check_driver(name: str, driver: Any) -> None:
     place = f"the human driver {name!r} is {driver!r}"
     if is_vehicle(driver):
         return
-    if not callable(driver) or (isinstance(driver, type) and not remembers(driver)):
+    is_other_class = isinstance(driver, type) and not remembers(driver)
+    if not callable(driver) or is_other_class:
         remedy = (
             "give a function of the game and the state, an object with `reset(key)`"
             " that is called like one"
         )
         raise ValueError(f"{place}; {remedy}, or a class of highway-env vehicles")
-    if not remembers(driver):
-        return
+    if remembers(driver):
+        _check_memory(place, driver)
+
+
+def _check_memory(
+    place: str, driver: RememberingDriver | type[RememberingDriver]
+) -> None:
+    """Check that a driver with a memory can begin an episode.
+
+    Raises:
+        ValueError: if it cannot; it begins with ``place``.
+    """
     try:
-        own = new_driver(driver)
-        signature(own.reset).bind(0)  # type: ignore[attr-defined]
+        copied = new_driver(driver)
+        signature(copied.reset).bind(0)  # type: ignore[attr-defined]
     except Exception as error:  # anything that code of the user's raises
         remedy = (
             "give a class that is made without arguments or an object that can be"
@@ -219,7 +229,7 @@ def check_driver(name: str, driver: Any) -> None:
         raise ValueError(
             f"{place}, which cannot begin an episode: {error}; {remedy}"
         ) from error
-    if not callable(own) or own is driver:
+    if not callable(copied) or copied is driver:
         remedy = (
             "give an object of a class with the methods `reset(key)` and"
             " `__call__(game, state)`"
@@ -230,21 +240,38 @@ def check_driver(name: str, driver: Any) -> None:
 
 
 class FunctionDriver:
-    """Drive a car by a function of the state, or by an object that remembers; plan
-    nothing.
+    """Drive a car by a function of the state, or by an object that remembers.
 
-    A function has to answer the same question in the same way. In the first, second,
-    fourth, eighth step and so on, it is asked once more what it was asked in the first
-    one. An object with a memory is not.
+    Nothing is planned. A function has to answer the same question in the same way. In
+    the first, second, fourth, eighth step and so on, it is asked once more what it was
+    asked in the first one. An object with a memory is not.
 
     Args:
         game: of which car 0 is driven.
         name: in records.
         driver: see `ms_highway.add_driver`.
         key: of the episode, for an object.
+
+    Attributes:
+        same_answer: largest relative difference between two answers to the same
+            question, for rounding.
+        control_remedy: what a driver has to return, for messages.
+        memory_remedy: what to do about a function that remembers or draws, for
+            messages.
     """
 
-    def __init__(self, game: Game, name: str, driver: Any, key: int = 0) -> None:
+    same_answer: ClassVar[float] = 1e-6
+    control_remedy: ClassVar[str] = (
+        "return a curvature [1/m] and an acceleration [m/s^2]"
+    )
+    memory_remedy: ClassVar[str] = (
+        "give add_driver an object with `reset(key)`, which keeps its memory and its"
+        " random numbers in itself"
+    )
+
+    def __init__(
+        self, game: Game, name: str, driver: HumanDriver, key: int = 0
+    ) -> None:
         self.game = game
         self.name = name
         self._added = driver
@@ -261,7 +288,7 @@ class FunctionDriver:
         self._game = read_only(game)
 
     def reset(self) -> None:
-        """Begin an episode: an object that remembers is copied anew, and gets the key."""
+        """Begin an episode: copy an object that remembers anew, and give it the key."""
         self._function = new_driver(self._added)
         self._steps = 0
         self._first: tuple[Game, State, Control] | None = None
@@ -281,13 +308,14 @@ class FunctionDriver:
         control = self._ask(self.game, seen)
         seconds = perf_counter() - start
         self._check_answers(seen, control)
-        kept = np.tile(control, (self.game.planner.horizon, 1))
+
+        repeated = np.tile(control, (self.game.planner.horizon, 1))
         return ControlStep(
-            control,
-            kept,
-            np.zeros((0, *kept.shape)),
-            (self.name,) * self.game.number,
-            seconds,
+            control=control,
+            plan=repeated,
+            humans=np.zeros((0, *repeated.shape)),
+            models=(self.name,) * self.game.number,
+            planning_seconds=seconds,
         )
 
     def _ask(self, game: Game, state: State) -> Control:
@@ -296,74 +324,111 @@ class FunctionDriver:
             control = np.array(self._function(game, state), dtype=float)
         if control.shape != (2,) or not np.isfinite(control).all():
             raise ValueError(
-                f"the driver {self.name!r} returned {control.tolist()}; {RETURN}"
+                f"the driver {self.name!r} returned {control.tolist()};"
+                f" {self.control_remedy}"
             )
         return control
 
     def _check_answers(self, state: State, control: Control) -> None:
-        """Ask a function the first question again in steps 1, 2, 4, 8 and so on, and
-        compare its answers.
+        """Ask a function the first question again, and compare its answers.
+
+        It is asked in steps 1, 2, 4, 8 and so on.
         """
         self._steps += 1
-        if remembers(self._added) or self._steps & (self._steps - 1):
+        is_power_of_two = self._steps & (self._steps - 1) == 0
+        if remembers(self._added) or not is_power_of_two:
             return
         if self._first is None:
             self._first = (self.game, state, control)
         first_game, first_state, first = self._first
         again = self._ask(first_game, first_state)
-        if not np.allclose(again, first, rtol=SAME_ANSWER, atol=SAME_ANSWER):
+        tolerance = self.same_answer
+        if not np.allclose(again, first, rtol=tolerance, atol=tolerance):
             answers = f"{first.tolist()} and then {again.tolist()} in the same state"
             raise ValueError(
                 f"the driver {self.name!r} returned {answers}, so it remembers or"
-                f" draws; {REMEMBER}"
+                f" draws; {self.memory_remedy}"
             )
 
 
-def unmoved_control(
-    game: Game, state: Float[SameArray, "cars 4"], yields: Any
-) -> Float[SameArray, "2"]:
-    """Return the control, not scaled, of car 0, which yields to car 1, the robot,
-    always or else never.
+@dataclass(frozen=True)
+class YieldingSettings:
+    """Set how the package's drivers of humans brake, and make room for the robot."""
 
-    It keeps its velocity, and brakes in time for a slower car ahead in its lane. If it
-    never yields, it ignores the robot. If it always yields, it brakes for a robot in
-    its lane or the next one as soon as the robot's front has passed its own centre,
-    until there is room for the robot, unless another car is between them.
+    room: float = 8.0
+    """Gap that is made for the robot, between bumpers [m]."""
+
+    lanes: float = 1.5
+    """Distance to the side within which a human makes room [lanes]."""
+
+    deceleration: float = 3.0
+    """Deceleration to make room [m/s^2]."""
+
+    max_deceleration: float = 8.0
+    """Largest deceleration, also for a car ahead [m/s^2]."""
+
+    min_gap: float = 0.5
+    """Gap to a car ahead below which braking grows no further [m]."""
+
+
+YIELDING = YieldingSettings()
+
+
+def unmoved_control(
+    game: Game, state: Float[SameArray, "cars 4"], yields: bool | Bool[SameArray, ""]
+) -> Float[SameArray, "2"]:
+    """Return the control, not scaled, of car 0, which always yields to car 1, or never.
+
+    Car 1 is the robot. Car 0 keeps its velocity, and brakes in time for a slower car
+    ahead in its lane. If it never yields, it ignores the robot. If it always yields, it
+    brakes for a robot in its lane or the next one as soon as the robot's front has
+    passed its own centre, until there is room for the robot, unless another car is
+    between them.
     """
-    xp = state.__array_namespace__()
+    xp = state.__array_namespace__()  # of NumPy or JAX
     scene = game.scene
     own = state[0]
     others = state[1:]
     length = xp.asarray(scene.car_size)[0]
     width = xp.asarray(scene.lane_width)
+
+    # Where the others are to this car, and how fast it closes in on them: [others].
     along = others[:, 0] - own[0]
     aside = xp.abs(others[:, 1] - own[1])
-    gaps = xp.maximum(along - length, MIN_GAP)
+    gaps = xp.maximum(along - length, YIELDING.min_gap)
     closing = xp.maximum(own[3] - others[:, 3], 0.0)
-    partner = xp.arange(len(others)) == 0
-    ahead = (along > 0) & (aside < width / 2) & (yields | ~partner)
+
+    # Brake in time for cars ahead, by v^2 / (2 gap).
+    is_robot = xp.arange(len(others)) == 0
+    ahead = (along > 0) & (aside < width / 2) & (yields | ~is_robot)
     braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
-    between = xp.any(ahead & (along < along[0]) & ~partner)
-    beside = (
+
+    # Make room for a robot that is beside this car or in front of it.
+    between = xp.any(ahead & (along < along[0]) & ~is_robot)
+    near = (
         (-length / 2 < along[0])
-        & (along[0] < length + YIELD_GAP)
-        & (aside[0] < YIELD_LANES * width)
+        & (along[0] < length + YIELDING.room)
+        & (aside[0] < YIELDING.lanes * width)
     )
     braking = xp.where(
-        yields & beside & ~between, xp.maximum(braking, YIELD_BRAKING), braking
+        yields & near & ~between,
+        xp.maximum(braking, YIELDING.deceleration),
+        braking,
     )
-    kept = keep_velocity(game.world, own)
-    hardest = xp.minimum(MAX_BRAKING, own[3] / xp.asarray(game.world.time_step))
-    return xp.stack([kept[0], kept[1] - xp.minimum(braking, hardest)])
+
+    # Otherwise keep the velocity, and never reverse.
+    coasting = keep_velocity(game.world, own)
+    hardest = xp.minimum(
+        YIELDING.max_deceleration, own[3] / xp.asarray(game.world.time_step)
+    )
+    return xp.stack([coasting[0], coasting[1] - xp.minimum(braking, hardest)])
 
 
 never_yields: DriverFunction = partial(unmoved_control, yields=False)
 always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
-HUMAN_DRIVERS: dict[str, Any] = {"never": never_yields, "always": always_yields}
-"""Human drivers by name. They do not plan: each is a function, a driver that remembers
-or its class, or a class of highway-env vehicles.
-"""
+HUMAN_DRIVERS: dict[str, HumanDriver] = {"never": never_yields, "always": always_yields}
+"""Human drivers by name. They do not plan."""
 
 keep_apart("a human driver", lambda: HUMAN_DRIVERS)
 
@@ -374,8 +439,7 @@ def function_names() -> list[str]:
 
 
 def traceable(name: str, game: Game) -> DriverFunction:
-    """Return the function of a human driver, if JAX can trace it as part of a
-    simulation.
+    """Return the function of a human driver, if JAX can trace it in a simulation.
 
     Raises:
         ValueError: if the driver is a class of vehicles, the keyboard, a driver that
@@ -392,38 +456,39 @@ def traceable(name: str, game: Game) -> DriverFunction:
             f"config['human_driver'] is {name!r}, which remembers and cannot be"
             f" simulated; {remedy}"
         )
+    function = cast(DriverFunction, driver)
     question = swap_roles(game), jnp.zeros((2 + game.number, 4))
     try:
-        control = jax.eval_shape(driver, *question)
-        programs = {_program(driver, question) for _ in range(2)}
+        control = jax.eval_shape(function, *question)
+        programs = {_program(function, question) for _ in range(2)}
     except Exception as error:  # anything that code of the user's raises
         reason = str(error).partition("\n")[0]
         raise ValueError(
             f"JAX cannot trace the human driver {name!r}: {reason}; {remedy}"
         ) from error
     if jax.tree.map(jnp.shape, control) != (2,):
-        raise ValueError(f"the human driver {name!r} returns {control}; {RETURN}")
+        raise ValueError(
+            f"the human driver {name!r} returns {control};"
+            f" {FunctionDriver.control_remedy}"
+        )
     if len(programs) > 1:
         raise ValueError(
             f"the human driver {name!r} computes something else when it is asked again;"
-            f" {REMEMBER}"
+            f" {FunctionDriver.memory_remedy}"
         )
-    return driver
-
-
-def _is_key(constant: Any) -> bool:
-    """Return whether a constant holds keys of JAX's random numbers, which NumPy cannot
-    convert.
-    """
-    return jnp.issubdtype(constant.dtype, jax.dtypes.prng_key)
+    return function
 
 
 def _program(driver: DriverFunction, question: tuple[Game, State]) -> str:
     """Return the text of what JAX computes for a driver, with its constants."""
     # JAX caches the trace of a function, so a new function makes it trace again.
     traced = jax.make_jaxpr(lambda game, state: driver(game, state))(*question)
-    constants = [
-        jax.random.key_data(each) if _is_key(each) else each for each in traced.consts
-    ]
-    text = f"{traced} {[np.asarray(each).tolist() for each in constants]}"
-    return re.sub("0x[0-9a-f]+", "", text)  # addresses differ
+    constants = [_as_numbers(constant).tolist() for constant in traced.consts]
+    return re.sub("0x[0-9a-f]+", "", f"{traced} {constants}")  # addresses differ
+
+
+def _as_numbers(constant: jax.Array | np.ndarray) -> np.ndarray:
+    """Return a constant of a program as numbers, also keys of random numbers."""
+    if jnp.issubdtype(constant.dtype, jax.dtypes.prng_key):
+        return np.asarray(jax.random.key_data(constant))  # which NumPy cannot convert
+    return np.asarray(constant)

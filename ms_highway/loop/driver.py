@@ -3,11 +3,13 @@
 from dataclasses import dataclass
 from functools import cache, partial
 from time import perf_counter
+from typing import ClassVar, TypeAlias
 
 import jax
 import numpy as np
 
 from ms_highway.choice.budget import deciding_in
+from ms_highway.choice.checks import shown
 from ms_highway.choice.rule import (
     NOT_ESTIMATED,
     GameEvidence,
@@ -16,29 +18,30 @@ from ms_highway.choice.rule import (
     for_unresponsive,
     is_of_package,
     refuse_rungs,
-    shown,
 )
-from ms_highway.choice.rule import decide as chosen_by
+from ms_highway.choice.rule import decide as decide_by
 from ms_highway.game.game import Game
+from ms_highway.loop.braking import brake
 from ms_highway.loop.controller import ControlStep
+from ms_highway.loop.game_parts import choose, plan_start
 from ms_highway.loop.step import (
     STATUSES,
-    Carry,
     Choice,
+    GameCarry,
+    GameChoice,
+    GamePlan,
+    GameResult,
     NewPlan,
     Parts,
     RemainingPlan,
-    StepResult,
     begin,
-    brake,
-    choose,
-    plan_start,
     step,
 )
 from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
+from ms_highway.planning.plans import Plan
 from ms_highway.planning.way_out import Escape
-from ms_highway.runtime.arrays import Control, State
+from ms_highway.runtime.arrays import Control, RungIndex, State
 from ms_highway.runtime.compilation import (
     Compiled,
     Placed,
@@ -49,14 +52,13 @@ from ms_highway.runtime.compilation import (
 )
 from ms_highway.runtime.process import refuse_after_fork
 
-QUANTILE = 0.99  # of decisions' seconds, for budgets
+GameRule: TypeAlias = Rule[GameEvidence]
 
 
-def drivable(
-    rule: Rule[GameEvidence], belief: bool
-) -> tuple[Rule[GameEvidence], int | None]:
-    """Return the rule for a `Driver`, and the rung that predicts unresponsive humans
-    (None without a belief).
+def drivable(rule: GameRule, belief: bool) -> tuple[GameRule, RungIndex | None]:
+    """Return the rule for a `Driver`, and the rung that predicts unresponsive humans.
+
+    Without a belief, there is no such rung: None.
 
     Raises:
         ValueError: as `Driver` does.
@@ -76,8 +78,8 @@ class StepSeconds:
     """Seconds that the parts of a step took, without compilation.
 
     Attributes:
-        choosing: of choosing the models, with the belief; 0 if nothing is chosen or
-            inferred.
+        choosing: of choosing the models, and of inferring which models humans follow; 0
+            if nothing is chosen or inferred.
         planning: of the plan.
         checking: of the search for a way out; until this step has searched, the last
             step's, by which a plan counts as late.
@@ -96,6 +98,8 @@ class Driver:
     step, the robot goes on with the rest of the last one. A rule is told of the plan
     that was followed in a step, and of the models of that plan.
 
+    A step is `ms_highway.loop.step.step`; its parts are compiled and timed here.
+
     Args:
         game: of which car 0 is driven, with the humans' rewards as the robot believes
             them.
@@ -107,15 +111,20 @@ class Driver:
             they do not respond are then predicted by the first rung, or by naive under
             an order, instead of by a model that responds.
 
+    Attributes:
+        decision_quantile: quantile of the seconds of decisions that budgets count with.
+
     Raises:
         ValueError: for impossible costs, prices or ladders, or if with a belief the
             first rung responds.
     """
 
+    decision_quantile: ClassVar[float] = 0.99
+
     def __init__(
         self,
         game: Game,
-        rule: Rule,
+        rule: GameRule,
         *,
         budget: float | None = None,
         way_out: bool = False,
@@ -123,26 +132,27 @@ class Driver:
     ) -> None:
         self.budget = budget
         self.way_out = way_out
-        self.infers = belief
+        self.infers_models = belief
         self._game = game
         self._rule, self._unresponsive = drivable(rule, belief)
         self._prepare()
         self.reset()
 
     @property
-    def rule(self) -> Rule:
-        """Rule that chooses the models; between steps, it may be replaced by one of the
-        same ladder.
+    def rule(self) -> GameRule:
+        """Rule that chooses the models.
+
+        Between steps, it may be replaced by one of the same ladder.
         """
         return self._rule
 
     @rule.setter
-    def rule(self, rule: Rule) -> None:
+    def rule(self, rule: GameRule) -> None:
         last = self._rule
-        rule, unresponsive = drivable(rule, self.infers)
+        rule, unresponsive = drivable(rule, self.infers_models)
         if rule.ladder != last.ladder:
-            new = " ".join(model.name for model in rule.ladder)
-            old = " ".join(model.name for model in last.ladder)
+            new = " ".join(rule.names.models)
+            old = " ".join(last.names.models)
             raise ValueError(
                 f"the rule is on the ladder {new}, and the driver on {old}; make a new"
                 " driver"
@@ -150,13 +160,14 @@ class Driver:
         self._rule = rule
         self._unresponsive = unresponsive
         self._place()
-        if last.estimates or rule.estimates:
+        if last.computes or rule.computes:
             self._warm = False
 
     @property
     def game(self) -> Game:
-        """Game that is played; it may be replaced between steps, and a game of the same
-        shapes compiles nothing.
+        """Game that is played.
+
+        It may be replaced between steps; a game of the same shapes compiles nothing.
         """
         return self._game
 
@@ -166,25 +177,25 @@ class Driver:
         self._prepare()
 
     def _prepare(self) -> None:
+        """Prepare what plans, for a new game."""
         self._plans = CompiledPlans(self.game, self.rule.ladder)
         self._place()
         self._warm = False
 
     def _place(self) -> None:
-        """Hold what decisions take: the numbers of rule and game, and whether they
-        depend on the last step.
-        """
+        """Hold the numbers that choices take, and whether choices compute."""
         self._placed = Placed((self.rule, single(self.game)))
-        self._looks_back = self._rule.estimates or self.infers
+        self._choice_computes = self._rule.computes or self.infers_models
 
     def reset(self) -> None:
         """Forget the past, before a new episode."""
-        self._carry: Carry | None = None  # before the first step
+        self._carry: GameCarry | None = None  # before the first step
         self._seconds = StepSeconds()
 
     def step(self, state: State) -> ControlStep:
-        """Choose the models from the outcome of the last step, plan, and return the
-        control of the coming step.
+        """Choose the models, plan, and return the control of the coming step.
+
+        The models are chosen from the outcome of the last step.
 
         Args:
             state: the robot, all humans and the scripted cars now.
@@ -194,28 +205,30 @@ class Driver:
         """
         now = checked_state(state)
         compiling = self._warm_up(now)
-        self._seconds = StepSeconds(
-            checking=self._seconds.checking if self.way_out else 0.0
-        )
+
+        # The clock starts once everything is compiled.
+        last_checking = self._seconds.checking if self.way_out else 0.0
+        self._seconds = StepSeconds(checking=last_checking)
         self._started = perf_counter()
+
         parts = Parts(
-            self._choose,
-            self._plan,
-            partial(brake, self._game),
-            None if self.budget is None else self._is_late,
-            self._escape if self.way_out else None,
+            choose=self._choose,
+            plan=self._plan,
+            brake=partial(brake, self._game),
+            is_late=None if self.budget is None else self._is_late,
+            escape=self._escape if self.way_out else None,
         )
         carry = self._carry or begin(self._rule, self._game, now)
         self._carry, result = step(carry, now, parts)
         return self._record(result, compiling)
 
-    def _record(self, result: StepResult, compiling: float) -> ControlStep:
+    def _record(self, result: GameResult, compiling: float) -> ControlStep:
         """Return the record of a step in SI units, given the seconds of compilation."""
         driven = result.driven
         choice = result.choice
-        names = tuple(model.name for model in self._rule.ladder)
+        names = self._rule.names.models
         scale = np.asarray(self._game.planner.control_scale, dtype=float)
-        left = int(driven.steps) or None
+        left = int(driven.steps) or None  # all, where the robot brakes
         plan = driven.plan.robot * scale
         humans = driven.plan.humans * scale
 
@@ -232,7 +245,7 @@ class Driver:
             gains=np.where(gains == NOT_ESTIMATED, np.nan, gains),
             choice_failed=bool(choice.decision.failed),
             status=STATUSES[result.status],
-            belief=choice.belief if self.infers else None,
+            belief=choice.model_probabilities if self.infers_models else None,
             planned=tuple(names[rung] for rung in choice.rungs),
             plan_steps=int(result.planned.steps),
             converged=bool(result.planned.converged),
@@ -240,28 +253,35 @@ class Driver:
 
     # Parts of a step, which are compiled and timed
 
-    def _choose(self, carry: Carry, now: State) -> Choice:
+    def _choose(self, carry: GameCarry, now: State) -> GameChoice:
         """Choose the models; see `ms_highway.loop.step.Parts`."""
-        if not self._looks_back:
-            decision = chosen_by(self._rule, self._game, carry.memory, carry.outcome)
+        if not self._choice_computes:
+            decision = decide_by(self._rule, self._game, carry.memory, carry.outcome)
             decision = jax.tree.map(np.asarray, decision)
-            return Choice(carry.belief, decision, decision.memory.rungs)
-        found, self._seconds.choosing = timed(*self._choice(carry, now))
+            rungs = decision.memory.rungs
+            return Choice(carry.model_probabilities, decision, rungs, observation=None)
+
+        found, self._seconds.choosing = timed(*self._choice_call(carry, now))
         choice = jax.tree.map(np.asarray, found)
-        if not is_of_package(self._rule):  # which a compiled decision cannot refuse
+
+        # A compiled decision cannot refuse what a user's rule chose.
+        if not is_of_package(self._rule):
             refuse_rungs(self._rule, choice.decision.memory.rungs)
         return choice
 
-    def _plan(self, now: State, choice: Choice, last: RemainingPlan) -> NewPlan:
+    def _plan(
+        self, now: State, choice: GameChoice, last: RemainingPlan[Plan]
+    ) -> GamePlan:
         """Plan with the models of a choice; see `ms_highway.loop.step.Parts`."""
         start = plan_start(self._rule.ladder, self._game, now, choice.rungs, last)
         solution, self._seconds.planning = self._plans.plan(now, choice.rungs, start)
         plan = solution.plan
-        return NewPlan(plan, plan, solution.steps, solution.converged)
+        return NewPlan(plan, plan, solution.steps, solution.converged, details=None)
 
     def _is_late(self) -> bool:
-        """Return whether the budget will be spent after a search for a way out that
-        takes as long as the last one.
+        """Return whether the budget will be spent after a search for a way out.
+
+        The search is expected to take as long as the last one.
         """
         assert self.budget is not None
         return perf_counter() - self._started + self._seconds.checking > self.budget
@@ -274,59 +294,67 @@ class Driver:
     # Compilation
 
     def _warm_up(self, state: State) -> float:
-        """Compile before the first control of a game; return the seconds spent, timing
-        of decisions included.
+        """Compile before the first control of a game; return the seconds spent.
+
+        With a budget, the seconds include those of timing decisions.
         """
         if self._warm:
             return 0.0
         refuse_after_fork()  # later, every compiled function refuses
         self._warm = True
         seconds = self._plans.warm_up(state, self.way_out)
-        if self._looks_back:
-            seconds += warm_up(*self._choice(begin(self.rule, self.game, state), state))
-            rule, measuring = timed(
-                deciding_in, self.rule, lambda: self._deciding_seconds(state)
-            )
-            if rule is not self._rule:
-                self._rule = rule
-                self._place()
-                seconds += measuring
-        return seconds
+        if not self._choice_computes:
+            return seconds
+
+        carry = begin(self.rule, self.game, state)
+        seconds += warm_up(*self._choice_call(carry, state))
+        rule, measuring = timed(
+            deciding_in, self.rule, lambda: self._deciding_seconds(state)
+        )
+        if rule is self._rule:
+            return seconds
+
+        # The rule now knows how long a decision takes.
+        self._rule = rule
+        self._place()
+        return seconds + measuring
 
     def _deciding_seconds(self, state: State) -> float:
         """Measure the seconds of a warm decision."""
         carry = begin(self.rule, self.game, state)
-        carry = carry._replace(
-            memory=carry.memory._replace(step=np.ones((), np.int32))
-        )  # step 0 may take less
-        times = [timed(*self._choice(carry, state))[1] for _ in range(REPEATS)]
-        return float(np.quantile(times, QUANTILE))
+        after_first = np.ones((), np.int32)  # the first step may take less
+        carry = carry._replace(memory=carry.memory._replace(step=after_first))
+        times = [timed(*self._choice_call(carry, state))[1] for _ in range(REPEATS)]
+        return float(np.quantile(times, self.decision_quantile))
 
-    def _choice(self, carry: Carry, now: State) -> tuple:
+    def _choice_call(self, carry: GameCarry, now: State) -> tuple:
         """Return the compiled function of a choice, and its arguments."""
         function = choice_function(self._unresponsive)
-        past = carry._replace(fallback=None)  # type: ignore[arg-type]  # a choice does not need the last plan
+        # A choice does not need the last plan.
+        past = carry._replace(fallback=None)  # type: ignore[arg-type]
         arguments = *self._placed.take(), past, now
         return function.of(*arguments), *arguments
 
 
 @cache
-def choice_function(unresponsive: int | None) -> Compiled:
-    """Compile `ms_highway.loop.step.choose` by a rule, given the rung that predicts
-    unresponsive humans.
+def choice_function(unresponsive: RungIndex | None) -> Compiled:
+    """Compile `ms_highway.loop.game_parts.choose` by a rule.
+
+    Args:
+        unresponsive: rung that predicts unresponsive humans; None to infer nothing.
     """
 
-    def chosen(rule: Rule, game: Game, carry: Carry, now: State) -> Choice:
-        return choose(
-            game, rule.ladder, unresponsive, partial(chosen_by, rule, game), carry, now
-        )
+    def chosen(rule: GameRule, game: Game, carry: GameCarry, now: State) -> GameChoice:
+        decide = partial(decide_by, rule, game)
+        return choose(game, rule.ladder, unresponsive, decide, carry, now)
 
     return jit_quickly(chosen)
 
 
 def fixed(game: Game, model: HumanModel | None = None) -> Driver:
-    """Return a driver that always predicts by the same model, by default naive, as
-    humans in environments do.
+    """Return a driver that always predicts by the same model, by default naive.
+
+    Humans in environments drive in this way.
 
     Args:
         game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.

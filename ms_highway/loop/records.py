@@ -1,9 +1,10 @@
-"""Hold what a simulation takes and returns: what its episodes share, the episodes, and
-the records of their steps.
+"""Hold what a simulation of many episodes takes and returns.
+
+That is what its episodes share, the episodes, and the records of their steps.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 from jaxtyping import Bool, Float, Int
@@ -12,12 +13,12 @@ from ms_highway.choice.rule import GameEvidence, Rule, for_unresponsive
 from ms_highway.game.game import Game
 from ms_highway.loop.controller import DriverFunction
 from ms_highway.planning.human_models import HumanModel, Naive
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, RungIndex
 from ms_highway.runtime.compilation import CHUNK
 
 DECIDES = -1
 """Entry of a schedule: the rule chooses the model of this human in this step; other
-entries, from 0, are numbers of `Loop.models`.
+entries, from 0, are rungs of `Loop.models`.
 """
 
 HUMAN_PLANS = 0
@@ -34,8 +35,8 @@ class Loop:
     Attributes:
         game: that is played, with the humans' rewards as the robot believes them.
         rule: chooses rungs of its ladder; every episode has its own price.
-        others: models that schedules may use beside the ladder; their numbers follow
-            those of the rungs (static).
+        others: models that schedules may use beside the ladder; their rungs follow
+            those of the ladder (static).
         way_out: whether a control that leaves no way out is replaced, see
             `ms_highway.planning.way_out` (static).
         belief: whether the robot infers which model predicts every human, see
@@ -46,6 +47,7 @@ class Loop:
             human models that it uses: smaller chunks waste less computation, larger
             ones use wide hardware better. The last digits of results depend on it, and
             chaotic episodes (Stay Back) amplify them.
+        axis: name of the axis of a chunk, over which JAX maps.
     """
 
     game: Game
@@ -55,16 +57,16 @@ class Loop:
     belief: bool = field(default=False, metadata={"static": True})
     drivers: tuple[DriverFunction, ...] = field(default=(), metadata={"static": True})
     chunk: int = field(default=CHUNK, metadata={"static": True})
+    axis: ClassVar[str] = "episodes"
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
-        """All models, in the order of their numbers in schedules and records."""
+        """The ladder of schedules and records: that of the rule, then the others."""
         return (*self.rule.ladder, *self.others)
 
     @property
-    def unresponsive(self) -> int | None:
-        """The number of the model that predicts unresponsive humans; None without a
-        belief.
+    def unresponsive(self) -> RungIndex | None:
+        """The rung that predicts unresponsive humans; None without a belief.
 
         Raises:
             ValueError: see `for_unresponsive`; if the order needs naive, and no model
@@ -72,14 +74,14 @@ class Loop:
         """
         if not self.belief:
             return None
-        _, number = for_unresponsive(replace(self.rule, ladder=self.models))
-        if number == len(self.models):
+        _, rung = for_unresponsive(replace(self.rule, ladder=self.models))
+        if rung == len(self.models):
             names = ", ".join(model.name for model in self.models)
-            remedy = f"add {Naive.name} to `others`"
             raise ValueError(
-                f"with a belief, the models of the loop are {names}; {remedy}"
+                f"with a belief, the models of the loop are {names}; add {Naive.name}"
+                " to `others`"
             )
-        return number
+        return rung
 
     @property
     def together(self) -> int:
@@ -95,7 +97,7 @@ class Episodes:
     Attributes:
         starts: all cars at the start: robot, humans, scripted cars.
         prices: lambda, where the rule decides.
-        schedules: number of the model that predicts each human in each step, or
+        schedules: rung of the model that predicts each human in each step, or
             `DECIDES`.
         robot_weights: of the robot's reward, in the order of its features.
         human_weights: of the rewards that the humans drive for; with one human, the
@@ -115,15 +117,17 @@ class Episodes:
 
 
 class Records(NamedTuple):
-    """Records of all steps, with the columns of
-    `ms_highway.experiments.runner.episode`.
+    """Records of all steps.
+
+    `ms_highway.experiments.runner.episode` has the same columns.
 
     Attributes:
-        rungs: number of the model that predicted each human in the plan that was
-            followed, in `Loop.models`.
+        rungs: rung, in `Loop.models`, of the model that predicted each human in the
+            plan that was followed.
         planned: the same in the step's own plan, whose T is counted; it is not followed
             where it is not finite.
-        status: of the robot's control, its place in `ms_highway.loop.step.STATUSES`.
+        status: number of the status of the robot's control, see
+            `ms_highway.loop.step.STATUSES`.
         reward: the robot's, after the step.
         collision: whether the robot collides in it.
         gains: of each rung for each human, estimated before the step, see

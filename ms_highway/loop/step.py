@@ -1,57 +1,102 @@
 """One step of a robot among humans: live, in a batch, or on a stock road.
 
-`step` is a function of what the robot carries from step to step. Whatever differs
-between live steps, batches and stock roads is in its `Parts`: live, they are compiled
-and timed; in a batch, JAX traces them; on a stock road, the robot chooses and plans
-among proposals.
+In a `step`, the robot
+
+1. observes what the last step has shown, and chooses a model of each human;
+2. plans with these models;
+3. follows this plan or, if it fails or is late, the rest of the last one; where nothing
+   is left of that, it brakes;
+4. escapes, if the control would leave it no way out;
+5. remembers what the next step needs, a `Carry`.
+
+How it chooses, plans, brakes and escapes is given by `Parts`. Live, these are compiled
+and timed (`ms_highway.loop.driver`); in a batch, JAX traces them
+(`ms_highway.loop.batch`); on a stock road, the robot plans among proposals
+(`ms_highway.road.driver`).
 
 Everything here works for numbers of NumPy and of JAX, see `branch`.
 """
 
 from collections.abc import Callable
-from typing import Any, Literal, NamedTuple, TypeAlias, get_args
+from typing import (
+    Generic,
+    Literal,
+    NamedTuple,
+    Protocol,
+    Self,
+    TypeAlias,
+    TypeVar,
+    get_args,
+)
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
 
-from ms_highway.choice.belief import counted_on, first_belief, infer
-from ms_highway.choice.rule import Decision, Memory, Outcome, Rule, first_memory
-from ms_highway.game.dynamics import keep_velocity, recover_control
-from ms_highway.game.features import reward
+from ms_highway.choice.belief import equal_probabilities
+from ms_highway.choice.records import Cars
+from ms_highway.choice.rule import (
+    Decision,
+    GameEvidence,
+    Memory,
+    Outcome,
+    Rule,
+    first_memory,
+)
 from ms_highway.game.game import Game
-from ms_highway.planning.human_models import HumanModel
-from ms_highway.planning.plans import Plan, cold_start
+from ms_highway.planning.plans import Plan
 from ms_highway.planning.way_out import Escape
 from ms_highway.runtime.arrays import (
-    Belief,
     Control,
     Flag,
     Index,
+    ModelProbabilities,
     Rungs,
-    SameArray,
     State,
 )
 
 Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way out"]
-"""Source of a control: ``planned``, this step's plan; ``previous plan``, the rest of
-the last finite plan, if this one is not finite; ``braking`` in lane, if nothing is left
-of that plan; ``late``, the rest of the last plan or braking, if this plan is late;
-``way out``, an escape from cars that keep their velocity, if the planned control leaves
-no such escape. The rest of an escape is then the rest of the last plan.
+"""Source of a control:
+
+* ``planned``: this step's plan;
+* ``previous plan``: the rest of the last finite plan, as this one is not finite;
+* ``braking``: in lane, as nothing is left of that plan either;
+* ``late``: the rest of the last plan or braking, as this plan is late;
+* ``way out``: an escape from cars that keep their velocity, as the planned control
+  leaves none. The rest of an escape is then the rest of the last plan.
 """
 
 STATUSES: tuple[Status, ...] = get_args(Status)
 """All statuses, in the order of their numbers."""
 
-PLANNED, PREVIOUS_PLAN, BRAKING, LATE, WAY_OUT = range(5)
-DECELERATION = 8.0  # m/s^2, hard braking on a dry road
-STRAIGHTENING_TIME = 0.5  # s, in which a braking car aligns with the road
+
+def status_number(status: Status) -> int:
+    """Return the number of a status, its place in `STATUSES`."""
+    return STATUSES.index(status)
 
 
-class RemainingPlan(NamedTuple):
-    """A plan from some step on.
+# What robots carry from step to step, and what happens in a step
+
+
+class Continuable(Protocol):
+    """A plan from which another one may start a step later."""
+
+    def later(self) -> Self:
+        """Return the plan from the next step on."""
+
+
+WarmStart = TypeVar("WarmStart", bound=Continuable)
+"""Where the next plan may start: a `Plan` in games, a proposal on stock roads."""
+
+Observation = TypeVar("Observation")
+"""What a robot on a stock road looked at when it chose models; None in games."""
+
+Details = TypeVar("Details")
+"""What else the record of a step on a stock road needs of its plan; None in games."""
+
+
+class RemainingPlan(NamedTuple, Generic[WarmStart]):
+    """What is left of a plan from some step on.
 
     Attributes:
         plan: scaled; beyond its end, its last controls are repeated.
@@ -65,52 +110,55 @@ class RemainingPlan(NamedTuple):
     plan: Plan
     steps: Index
     rungs: Rungs
-    warm_start: Any
+    warm_start: WarmStart
 
-    def later(self) -> "RemainingPlan":
-        """Return the plan from the next step on."""
-        steps = self.steps - (self.steps > 0)
+    def later(self) -> "RemainingPlan[WarmStart]":
+        """Return what is left from the next step on."""
         return RemainingPlan(
-            self.plan.later(), steps, self.rungs, self.warm_start.later()
+            steps=self.steps - (self.steps > 0),
+            plan=self.plan.later(),
+            rungs=self.rungs,
+            warm_start=self.warm_start.later(),
         )
 
 
-class Carry(NamedTuple):
+class Carry(NamedTuple, Generic[Cars, WarmStart]):
     """What a robot carries from step to step.
 
     Attributes:
         memory: of its rule.
         outcome: of the last step; before the first one, of a step in which no car
             moved.
-        belief: probability that each of the package's models predicts each human.
+        model_probabilities: probability that each of the package's models predicts each
+            human, see `ms_highway.choice.belief`; None on stock roads.
         fallback: plan to fall back on in the next step, its first control counted as
             executed.
     """
 
     memory: Memory
-    outcome: Outcome
-    belief: Belief | None
-    fallback: RemainingPlan
+    outcome: Outcome[Cars]
+    model_probabilities: ModelProbabilities | None
+    fallback: RemainingPlan[WarmStart]
 
 
-class Choice(NamedTuple):
+class Choice(NamedTuple, Generic[Observation]):
     """The models of the coming plan.
 
     Attributes:
-        belief: after the last step.
+        model_probabilities: see `Carry`, after the last step.
         decision: what the rule or a schedule chose.
         rungs: of every human in the coming plan; other than chosen for humans who do
             not respond.
-        evidence: what was looked at, if the plan needs it.
+        observation: what was looked at, if the plan needs it.
     """
 
-    belief: Belief | None
+    model_probabilities: ModelProbabilities | None
     decision: Decision
     rungs: Rungs
-    evidence: Any = None
+    observation: Observation
 
 
-class NewPlan(NamedTuple):
+class NewPlan(NamedTuple, Generic[WarmStart, Details]):
     """The plan of this step, and how its ascent ended.
 
     Attributes:
@@ -122,30 +170,30 @@ class NewPlan(NamedTuple):
     """
 
     plan: Plan
-    warm_start: Any
-    steps: Index = 0
-    converged: Flag = False
-    details: Any = None
+    warm_start: WarmStart
+    steps: Index
+    converged: Flag
+    details: Details
 
 
-class StepResult(NamedTuple):
+class StepResult(NamedTuple, Generic[WarmStart, Observation, Details]):
     """What drives in a step, and where it comes from.
 
     Attributes:
-        driven: what drives; its first control is executed. If the robot brakes, the
-            rungs are those of the step's own plan.
-        status: place of the status in `STATUSES`.
+        driven: the plan that drives; its first control is executed. If the robot
+            brakes, the rungs are those of the step's own plan.
+        status: number of the status.
         choice: the models of the step's own plan.
         planned: that plan, whether it drives or not.
     """
 
-    driven: RemainingPlan
+    driven: RemainingPlan[WarmStart]
     status: Index
-    choice: Choice
-    planned: NewPlan
+    choice: Choice[Observation]
+    planned: NewPlan[WarmStart, Details]
 
 
-class Parts(NamedTuple):
+class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
     """What differs between live steps, batches and stock roads.
 
     Attributes:
@@ -161,20 +209,37 @@ class Parts(NamedTuple):
             leaves no way out; None without such a search.
     """
 
-    choose: Callable[[Carry, Any], Choice]
-    plan: Callable[[Any, Choice, RemainingPlan], NewPlan]
-    brake: Callable[[RemainingPlan, Any], RemainingPlan]
+    choose: Callable[[Carry[Cars, WarmStart], Cars], Choice[Observation]]
+    plan: Callable[
+        [Cars, Choice[Observation], RemainingPlan[WarmStart]],
+        NewPlan[WarmStart, Details],
+    ]
+    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]]
     is_late: Callable[[], bool] | None = None
-    escape: Callable[[Any, Control], Escape] | None = None
+    escape: Callable[[Cars, Control], Escape] | None = None
 
 
-def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
-    """Drive one step: choose a model of each human by what the last step showed, plan,
-    and execute the first control.
+GameCarry: TypeAlias = Carry[State, Plan]
+GameChoice: TypeAlias = Choice[None]
+GamePlan: TypeAlias = NewPlan[Plan, None]
+GameParts: TypeAlias = Parts[State, Plan, None, None]
+GameResult: TypeAlias = StepResult[Plan, None, None]
+"""The same in games, where nothing but the states of cars is looked at."""
 
-    A step of the paper's meta-MDP, whose action is the choice of the models (Sec. III).
-    A robot that cannot follow its plan falls back on the last one, then brakes; one
-    that would have no way out escapes.
+
+# The step
+
+
+def step(
+    carry: Carry[Cars, WarmStart],
+    now: Cars,
+    parts: Parts[Cars, WarmStart, Observation, Details],
+) -> tuple[Carry[Cars, WarmStart], StepResult[WarmStart, Observation, Details]]:
+    """Drive one step: choose a model of each human, plan, and execute a control.
+
+    It is a step of the paper's meta-MDP, whose action is the choice of the models (Sec.
+    III). The plan's first control is executed. A robot that cannot follow its plan
+    falls back on the last one, then brakes; one that would have no way out escapes.
 
     Args:
         carry: what the robot carries into the step.
@@ -211,16 +276,20 @@ def step(carry: Carry, now: Any, parts: Parts) -> tuple[Carry, StepResult]:
     outcome = carry.outcome._replace(
         before=now, after=now, robot=control, plan=driven.plan
     )
-    return Carry(memory, outcome, choice.belief, fallback), StepResult(
-        driven, status, choice, planned
-    )
+
+    after = Carry(memory, outcome, choice.model_probabilities, fallback)
+    return after, StepResult(driven, status, choice, planned)
+
+
+Result = TypeVar("Result")
 
 
 def branch(
-    flag: Flag | bool, then: Callable[[], Any], otherwise: Callable[[], Any]
-) -> Any:
-    """Return one of two results; for a flag of JAX, compute both, and select each
-    number.
+    flag: Flag | bool, then: Callable[[], Result], otherwise: Callable[[], Result]
+) -> Result:
+    """Return one of two results; for a flag of JAX, select each of their numbers.
+
+    JAX computes both results, everything else only the one that is returned.
     """
     if isinstance(flag, jax.Array):
         return jax.tree.map(lambda *both: jnp.where(flag, *both), then(), otherwise())
@@ -230,134 +299,48 @@ def branch(
 # Before the first step
 
 
-def begin(rule: Rule, game: Game, state: State) -> Carry:
+def begin(rule: Rule[GameEvidence], game: Game, state: State) -> GameCarry:
     """Return what a robot carries into its first step."""
     none = no_plan(game.planner.horizon, game.number)
     outcome = Outcome(
-        state,
-        state,
-        none.plan.robot[0],
-        none.plan.humans[:, 0],
-        np.float32(0),
-        none.plan,
+        before=state,
+        after=state,
+        robot=none.plan.robot[0],
+        humans=none.plan.humans[:, 0],
+        reward=np.float32(0),
+        plan=none.plan,
     )
-    return Carry(
-        first_memory(rule, game.number), outcome, first_belief(game.number), none
-    )
+    memory = first_memory(rule, game.number)
+    return Carry(memory, outcome, equal_probabilities(game.number), none)
 
 
-def no_plan(horizon: int, humans: int) -> RemainingPlan:
+def no_plan(horizon: int, humans: int) -> RemainingPlan[Plan]:
     """Return the remaining plan before the first step: it has no controls."""
-    still = np.zeros((1 + humans, horizon, 2), np.float32)
-    nothing = Plan(still[0], still[1:])
-    return RemainingPlan(nothing, np.int32(0), np.zeros(humans, np.int32), nothing)
+    zeros = np.zeros((1 + humans, horizon, 2), np.float32)
+    nothing = Plan(zeros[0], zeros[1:])
+    first_rungs = np.zeros(humans, np.int32)
+    return RemainingPlan(nothing, np.int32(0), first_rungs, nothing)
 
 
-# Choosing the models
-
-
-def choose(
-    game: Game,
-    models: tuple[HumanModel, ...],
-    unresponsive: int | None,
-    decide: Callable[[Memory, Outcome], Decision],
-    carry: Carry,
-    now: State,
-) -> Choice:
-    """Complete the outcome of the last step and the belief, and choose a model for each
-    human.
-
-    Args:
-        game: as the robot believes it.
-        models: which rungs name.
-        unresponsive: rung that predicts humans who do not respond; None to count on
-            everybody, without a belief.
-        decide: chooses rungs by the outcome, see `ms_highway.choice.rule.decide`.
-        carry: into the step.
-        now: all cars.
-    """
-    # Observe the humans' controls, and what the step has earned.
-    outcome = carry.outcome
-    before = outcome.before
-    players = slice(1, 1 + game.number)
-    controls = (
-        recover_control(game.world, before[players], now[players])
-        / game.planner.control_scale
-    )
-    outcome = outcome._replace(
-        after=now, humans=controls, reward=reward(game.scene, game.robot, now)
-    )
-
-    # Without a belief, count on what the rule chose.
-    if unresponsive is None:
-        decision = decide(carry.memory, outcome)
-        return Choice(carry.belief, decision, decision.memory.rungs)
-
-    # Infer which humans respond. Before the first step, nobody has moved.
-    assert carry.belief is not None
-    moved = jnp.any(before != now)
-    belief = jnp.where(
-        moved, infer(game, carry.belief, before, now, outcome.plan.robot), carry.belief
-    )
-    decision = decide(carry.memory, outcome)
-    responds = jnp.array([model.responds for model in models])
-    ignored = responds[decision.memory.rungs] & ~counted_on(belief)
-    rungs = jnp.where(ignored, unresponsive, decision.memory.rungs).astype(jnp.int32)
-    return Choice(belief, decision, rungs)
-
-
-# Planning, and following a plan or what takes its place
-
-
-def plan_start(
-    models: tuple[HumanModel, ...],
-    game: Game,
-    state: State,
-    rungs: Rungs,
-    last: RemainingPlan,
-) -> Plan | None:
-    """Return the scaled plan from which the coming one starts.
-
-    Humans continue the last plan if the planner or their model wants that; the robot
-    does if any human does. All others start cold. It is None if no model ever
-    continues.
-
-    Args:
-        models: that rungs name.
-        game: of the robot.
-        state: all cars now.
-        rungs: of every human in the coming plan.
-        last: the plan to fall back on.
-    """
-    warm = np.array([game.planner.solver.continues or model.warm for model in models])
-    if not warm.any():
-        return None
-    cold = cold_start(game, state)
-    rest = last.warm_start.later()
-    xp = rungs.__array_namespace__()  # of NumPy or JAX
-    continues = xp.asarray(warm)[rungs] & (last.steps > 0)
-    robot = xp.where(continues.any(), rest.robot, cold.robot)
-    humans = xp.where(continues[:, None, None], rest.humans, cold.humans)
-    return Plan(robot, humans)
+# Following a plan, or what takes its place
 
 
 def follow(
-    planned: NewPlan,
+    planned: NewPlan[WarmStart, Details],
     rungs: Rungs,
-    last: RemainingPlan,
-    now: Any,
-    brake: Callable[[RemainingPlan, Any], RemainingPlan],
+    last: RemainingPlan[WarmStart],
+    now: Cars,
+    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]],
     late: bool = False,
-) -> tuple[RemainingPlan, RemainingPlan, Index]:
-    """Follow a plan or, if it is late or not finite, the last one, and brake where
-    nothing is left of that.
+) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
+    """Follow a plan or, if it is late or not finite, the last one, or brake.
 
     Args:
         planned: of this step.
         rungs: of every human in it.
         last: plan to fall back on in this step.
         now: all cars.
-        brake: see `Parts`.
+        brake: see `Parts`; it brakes where nothing is left of the last plan.
         late: whether the plan is too late for this step; a finite one is followed from
             the next step on.
 
@@ -366,13 +349,14 @@ def follow(
         status.
     """
     plan = planned.plan
-    xp = plan.robot.__array_namespace__()
+    xp = plan.robot.__array_namespace__()  # of NumPy or JAX
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
-    def new() -> tuple[RemainingPlan, int]:
-        return RemainingPlan(plan, len(plan.robot), rungs, planned.warm_start), PLANNED
+    def new() -> tuple[RemainingPlan[WarmStart], Index]:
+        whole = RemainingPlan(plan, len(plan.robot), rungs, planned.warm_start)
+        return whole, status_number("planned")
 
-    def old() -> tuple[RemainingPlan, Index]:
+    def old() -> tuple[RemainingPlan[WarmStart], Index]:
         return fall_back(last, rungs, now, brake)
 
     # A plan in time drives now, and is what the next step falls back on.
@@ -382,80 +366,55 @@ def follow(
 
     # A late one has to wait for the next step.
     driven, failed = old()
-    return driven, fallback, branch(finite, lambda: LATE, lambda: failed)
+    status = branch(finite, lambda: status_number("late"), lambda: failed)
+    return driven, fallback, status
 
 
 def fall_back(
-    last: RemainingPlan,
+    last: RemainingPlan[WarmStart],
     rungs: Rungs,
-    now: Any,
-    brake: Callable[[RemainingPlan, Any], RemainingPlan],
-) -> tuple[RemainingPlan, Index]:
-    """Go on with the last plan, or brake where nothing is left of it; return what
-    drives and its status, see `follow`.
+    now: Cars,
+    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]],
+) -> tuple[RemainingPlan[WarmStart], Index]:
+    """Go on with the last plan, or brake where nothing is left of it.
 
-    Braking counts under the models of the step's own plan.
+    Braking counts under the models of the step's own plan, whose rungs are given.
+
+    Returns:
+        What drives, and the number of its status, see `follow`.
     """
     left = last.later()
     stopping = left._replace(rungs=rungs)
     return branch(
         left.steps > 0,
-        lambda: (left, PREVIOUS_PLAN),
-        lambda: (brake(stopping, now), BRAKING),
+        lambda: (left, status_number("previous plan")),
+        lambda: (brake(stopping, now), status_number("braking")),
     )
 
 
 def follow_escape(
-    driven: RemainingPlan, fallback: RemainingPlan, status: Index, escape: Escape
-) -> tuple[RemainingPlan, RemainingPlan, Index]:
-    """Follow an escape, and fall back on it, if it replaces the control; return the
-    same as `follow`.
+    driven: RemainingPlan[WarmStart],
+    fallback: RemainingPlan[WarmStart],
+    status: Index,
+    escape: Escape,
+) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
+    """Follow an escape, and fall back on it, if it replaces the control.
 
     Late and failed plans keep their status. The rungs remain those of the plan,
     although an escape counts on nobody.
+
+    Returns:
+        The same as `follow`.
     """
     plan = driven.plan._replace(robot=escape.controls)
-    own = RemainingPlan(plan, len(escape.controls), driven.rungs, fallback.warm_start)
-    replaced = escape.replaces & (status == PLANNED)
-    status = branch(replaced, lambda: WAY_OUT, lambda: status)
-    return (
-        *branch(escape.replaces, lambda: (own, own), lambda: (driven, fallback)),
-        status,
+    steps = len(escape.controls)
+    escaping = RemainingPlan(plan, steps, driven.rungs, fallback.warm_start)
+
+    # Only a planned control gets the status of an escape.
+    renamed = escape.replaces & (status == status_number("planned"))
+    status = branch(renamed, lambda: status_number("way out"), lambda: status)
+
+    driven, fallback = branch(
+        escape.replaces, lambda: (escaping, escaping), lambda: (driven, fallback)
     )
-
-
-def brake(game: Game, left: RemainingPlan, now: State) -> RemainingPlan:
-    """Return what is left of a plan, with braking in lane in place of the robot's
-    controls.
-    """
-    robot = left.plan.robot
-    xp = robot.__array_namespace__()
-    with np.errstate(over="ignore", invalid="ignore"):
-        braking = braking_control(game, now[0]) / game.planner.control_scale
-    return left._replace(
-        plan=left.plan._replace(robot=xp.broadcast_to(braking, robot.shape))
-    )
-
-
-def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, "2"]:
-    """Return the control that brakes and aligns a car with the road, within the limits
-    of plans.
-
-    It is finite in every finite state, even if friction or the acceleration that stops
-    the car is not finite.
-    """
-    xp = car.__array_namespace__()
-    heading = car[2]
-    speed = car[3]
-
-    # Turn towards the road's direction.
-    turning = -xp.atan2(xp.sin(heading), xp.cos(heading)) / STRAIGHTENING_TIME
-    curvature = turning / xp.maximum(xp.abs(speed), 1.0)
-    omega = curvature if game.dynamics.steering == "curvature" else turning
-
-    # Stop at the end of the step, or as soon as hard braking can.
-    stop = keep_velocity(game.dynamics, car)[1] - speed / game.dynamics.time_step
-    stop = xp.where(xp.isnan(stop), -xp.sign(speed) * DECELERATION, stop)
-    stop = xp.clip(stop, -DECELERATION, DECELERATION)
-    limit = xp.asarray(game.planner.control_limit)
-    return xp.clip(xp.stack([omega, stop]), -limit, limit)
+    return driven, fallback, status

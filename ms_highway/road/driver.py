@@ -8,7 +8,7 @@ looks, before it chooses; planning is then to let others respond to the best pro
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -19,8 +19,6 @@ from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, Rule, decide_on, firs
 from ms_highway.game.car_following import TRAFFIC_LIMITS
 from ms_highway.loop.controller import ControlStep
 from ms_highway.loop.step import (
-    LATE,
-    PLANNED,
     STATUSES,
     Carry,
     Choice,
@@ -77,6 +75,14 @@ class Look(NamedTuple):
     scene: RoadScene
     models: Rungs
     proposed: Proposed
+
+
+RoadCarry: TypeAlias = Carry[RoadScene, LastPlan]
+RoadChoice: TypeAlias = Choice[Look]
+RoadRemainder: TypeAlias = RemainingPlan[LastPlan]
+NewRoadPlan: TypeAlias = NewPlan[LastPlan, RoadPlan]
+RoadResult: TypeAlias = StepResult[LastPlan, Look, RoadPlan]
+"""Records of `ms_highway.loop.step` on stock roads, where proposals are plans."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -136,7 +142,7 @@ class RoadDriver:
     braking_share: ClassVar[float] = 0.95
 
     def __post_init__(self) -> None:
-        self._carry: Carry | None = None  # before the first step
+        self._carry: RoadCarry | None = None  # before the first step
         numbers = [TRAFFIC_MODELS.index(model.name) for model in self.rule.ladder]
         self._numbers = np.array(numbers, np.int32)
 
@@ -158,18 +164,18 @@ class RoadDriver:
         self._carry, result = step(carry, scene, parts)
         return self._record(result, compile_seconds)
 
-    def _compile(self, scene: RoadScene, carry: Carry) -> float:
+    def _compile(self, scene: RoadScene, carry: RoadCarry) -> float:
         """Compile what the step calls, and return the seconds that it took."""
         all_naive = np.zeros(TRAFFIC, np.int32)
         warm_start = carry.fallback.warm_start
         seconds = warm_up(
             plan_of, scene, self.planning, self.weights, all_naive, warm_start
         )
-        if self.rule.estimates:
+        if self.rule.computes:
             seconds += warm_up(decided, self.rule, carry.memory, self._unknown_worth)
         return seconds
 
-    def _begin(self, scene: RoadScene) -> Carry:
+    def _begin(self, scene: RoadScene) -> RoadCarry:
         """Return what the robot carries into its first step, as after a step in which
         nobody moved.
         """
@@ -186,14 +192,14 @@ class RoadDriver:
         )
         return Carry(memory, outcome, None, nothing_left)
 
-    def _record(self, result: StepResult, compile_seconds: float) -> RoadStep:
+    def _record(self, result: RoadResult, compile_seconds: float) -> RoadStep:
         """Return the record of a step, given what happened and the seconds of
         compilation.
         """
-        plan: RoadPlan = result.planned.details
-        look: Look = result.choice.evidence
+        plan = result.planned.details
+        look = result.choice.observation
         controls = result.driven.plan.robot
-        is_finite = result.status in (PLANNED, LATE)
+        is_finite = STATUSES[result.status] in ("planned", "late")
         path = plan.path[: len(controls) if is_finite else 0]
 
         # Paths without a car have no prediction, and so no model.
@@ -225,11 +231,11 @@ class RoadDriver:
             broken=bool(plan.broken),
         )
 
-    def _source(self, result: StepResult, plan: RoadPlan) -> str:
+    def _source(self, result: RoadResult, plan: RoadPlan) -> str:
         """Return what drives: where the best plan does not, the last one does, or
         braking; the best plan may also be one of these.
         """
-        if result.status != PLANNED:
+        if STATUSES[result.status] != "planned":
             return "last plan" if result.driven.steps > 0 else "braking"
         hardest = -self.braking_share * self.planning.grip
         if plan.broken and plan.controls[0, 1] < hardest:
@@ -241,7 +247,7 @@ class RoadDriver:
 
     # Parts of a step
 
-    def _choose(self, carry: Carry, scene: RoadScene) -> Choice:
+    def _choose(self, carry: RoadCarry, scene: RoadScene) -> RoadChoice:
         """Look at the road, propose plans, and choose a model for each car by what it
         could gain.
         """
@@ -249,7 +255,7 @@ class RoadDriver:
         rule = self.rule
         memory = carry.memory
         decision = None
-        if not rule.estimates:
+        if not rule.computes:
             decision = decide_on(rule, memory, self._unknown_worth)
 
         # Propose with the chosen models or, if they are yet to be chosen, with the
@@ -273,9 +279,11 @@ class RoadDriver:
         """Return the time of this step so far, less that of the proposals [s]."""
         return perf_counter() - self._started - self._proposing_seconds
 
-    def _plan(self, scene: RoadScene, choice: Choice, last: RemainingPlan) -> NewPlan:
+    def _plan(
+        self, scene: RoadScene, choice: RoadChoice, last: RoadRemainder
+    ) -> NewRoadPlan:
         """Return the best proposal, once others have responded where a model says so."""
-        look: Look = choice.evidence
+        look = choice.observation
         models = self._models(look.scene, choice.rungs)
         plan = look.proposed.plan
         self._responding_seconds = 0.0
@@ -285,9 +293,9 @@ class RoadDriver:
         if are_others or (models == ModelNumber.tom).any():
             plan, self._responding_seconds = timed(responded_to, look.proposed, models)
         plan = jax.tree.map(np.asarray, plan)
-        return NewPlan(_alone(plan.controls), plan.last(), details=plan)
+        return NewPlan(_alone(plan.controls), plan.last(), 0, False, plan)
 
-    def _brake(self, left: RemainingPlan, scene: RoadScene) -> RemainingPlan:
+    def _brake(self, left: RoadRemainder, scene: RoadScene) -> RoadRemainder:
         """Brake straight on, by the whole grip; nothing is left for the next plan to
         start from.
         """

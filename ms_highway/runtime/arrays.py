@@ -64,7 +64,7 @@ ModelNumbers: TypeAlias = Int[Array, "humans"]
 """`ModelIndex` of every human's model."""
 
 Gains: TypeAlias = Float[Array, "humans rungs"]
-Belief: TypeAlias = Float[Array, "humans models"]
+ModelProbabilities: TypeAlias = Float[Array, "humans models"]
 PerHuman: TypeAlias = Float[Array, "humans"]
 
 

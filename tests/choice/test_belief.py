@@ -3,27 +3,27 @@
 import numpy as np
 import pytest
 
-from ms_highway.choice.belief import MIN_PROBABILITY, STAY_PROBABILITY, updated_belief
+from ms_highway.choice.belief import INFERENCE, updated_probabilities
 
 CERTAIN = np.eye(4)[0]
 PREDICTED = np.array([[0.0, 0.0], [0.0, -1.0], [0.0, -2.0], [0.0, -3.0]])
 
 
 def test_a_human_who_brakes_as_a_model_predicts_is_believed_to_follow_it_and_no_model_is_excluded():
-    belief = np.full(4, 1 / 4)
+    found = np.full(4, 1 / 4)
     for _ in range(50):
-        belief = updated_belief(belief, PREDICTED, PREDICTED[2], 0.1)
-    assert belief[2] == belief.max() > 0.6
-    belief = updated_belief(CERTAIN, PREDICTED, np.array([0.0, 30.0]), 0.1)
-    assert belief.min() == pytest.approx(MIN_PROBABILITY, rel=0.01)
-    assert belief.sum() == pytest.approx(1.0)
+        found = updated_probabilities(found, PREDICTED, PREDICTED[2], 0.1)
+    assert found[2] == found.max() > 0.6
+    found = updated_probabilities(CERTAIN, PREDICTED, np.array([0.0, 30.0]), 0.1)
+    assert found.min() == pytest.approx(INFERENCE.min_probability, rel=0.01)
+    assert found.sum() == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("steps", [1, 5])
 def test_humans_without_an_observed_control_change_their_model_at_the_same_rate_for_all_lengths_of_steps(
     steps,
 ):
-    belief = CERTAIN
+    found = CERTAIN
     for _ in range(steps):
-        belief = updated_belief(belief, PREDICTED, np.full(2, np.nan), 0.5 / steps)
-    assert belief[0] == pytest.approx(1 / 4 + 3 / 4 * STAY_PROBABILITY**5)
+        found = updated_probabilities(found, PREDICTED, np.full(2, np.nan), 0.5 / steps)
+    assert found[0] == pytest.approx(1 / 4 + 3 / 4 * INFERENCE.stay_probability**5)

@@ -12,8 +12,8 @@ from ms_highway.choice.quadratic import Switching
 from ms_highway.game.dynamics import step as move
 from ms_highway.game.scenario import PHYSICAL_LIMIT
 from ms_highway.game.scenarios import MERGER, STAY_BACK
+from ms_highway.loop.braking import BRAKING, braking_control
 from ms_highway.loop.driver import Driver, fixed
-from ms_highway.loop.step import DECELERATION, braking_control
 
 LIMIT = np.array(PHYSICAL_LIMIT)
 
@@ -85,7 +85,7 @@ def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_st
         with np.errstate(over="ignore", invalid="ignore"):
             control = braking_control(game, car)
         assert np.isfinite(control).all()
-        assert abs(control[1]) <= DECELERATION
+        assert abs(control[1]) <= BRAKING.deceleration
     slow = np.array([0.0, 0.0, 0.1, 0.5])
     assert move(game.dynamics, slow, braking_control(game, slow))[3] == pytest.approx(
         0.0, abs=1e-6
