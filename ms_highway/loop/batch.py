@@ -56,6 +56,7 @@ from ms_highway.runtime.arrays import (
     Array,
     Control,
     Flag,
+    HumansControl,
     Index,
     Rungs,
     State,
@@ -372,7 +373,7 @@ def _move_world(
 
 def _drive_humans(
     loop: Loop, episode: Episodes, carry: EpisodeCarry
-) -> tuple[Float[jax.Array, "humans 2"], RemainingPlan[Plan]]:
+) -> tuple[HumansControl, RemainingPlan[Plan]]:
     """Return the humans' controls, not scaled, and the plans to fall back on next.
 
     Humans plan for their own rewards, or a driver of `Loop.drivers` drives them.
