@@ -4,22 +4,27 @@ actions it has.
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 from gymnasium import spaces
 from highway_env.envs.common import action as actions
 from highway_env.envs.common import observation as observations
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import ActionType
 from highway_env.envs.common.observation import ObservationType
+from jaxtyping import Float
 
 from ms_highway.choice.rule import in_order
+from ms_highway.envs.configuration import Config
 from ms_highway.game.dynamics import Dynamics, facing, keep_velocity
 from ms_highway.game.scene import Scene
-from ms_highway.runtime.arrays import State, Vector
+from ms_highway.runtime.arrays import Array, Numbers, Vector
 from ms_highway.vehicle import BicycleVehicle
 
-SCALES = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])  # m, m, m/s, m/s, 1, 1
+States: TypeAlias = Float[Array, "*batch cars 4"]
+
+# Observations
 
 
 class CarStates(ObservationType):
@@ -31,27 +36,27 @@ class CarStates(ObservationType):
     velocities by 40 m/s. Positions beyond 100 m are not clipped.
     """
 
-    REACHED: ClassVar[tuple[float, float]] = (
-        400.0,
-        1000.0,
-    )  # m/s and m to the side, which 50 m/s^2 does not exceed
+    scales: ClassVar[Vector] = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])
+    """What the columns are divided by [m, m, m/s, m/s, 1, 1]."""
+    reached: ClassVar[tuple[float, float]] = (400.0, 1000.0)
+    """Speed and distance to the side that 50 m/s^2 does not exceed [m/s, m]."""
 
-    def __init__(self, env: Any, **_: Any) -> None:
+    def __init__(self, env: AbstractEnv, **_: object) -> None:
         super().__init__(env)
-        fastest, widest = self.REACHED
+        fastest, widest = self.reached
         farthest = 100.0 + fastest * env.config["duration"]
-        reached = np.array([farthest, widest, fastest, fastest, 1.0, 1.0]) / SCALES
-        self.low, self.high = (
-            np.tile(np.float32(end), (env.cars, 1)) for end in self.ends(reached)
-        )
+        reached = np.array([farthest, widest, fastest, fastest, 1.0, 1.0])
+        low, high = self.ends(reached / self.scales)
+        self.low = np.tile(np.float32(low), (env.cars, 1))
+        self.high = np.tile(np.float32(high), (env.cars, 1))
 
-    def ends(self, reached: Vector) -> tuple[Any, Any]:
+    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
         """Return the lowest and the highest value of each column, given the scaled
         values that states reach.
         """
         return -reached, reached
 
-    def columns(self, states: State, time_left: Any) -> list[Any]:
+    def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """Return the columns [..., cars] of states [..., cars, 4], given the share of
         the episode's time left.
         """
@@ -59,14 +64,16 @@ class CarStates(ObservationType):
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
         cosine = xp.cos(heading)
         sine = xp.sin(heading)
+
+        # Positions and velocities of the others are relative to the robot.
         is_other = np.arange(states.shape[-2]) > 0
-        parts = [
-            part - is_other * part[..., :1]
-            for part in (x, y, speed * cosine, speed * sine)
+        relative = [
+            column - is_other * column[..., :1]
+            for column in (x, y, speed * cosine, speed * sine)
         ]
+        columns = (*relative, cosine, sine)
         return [
-            part / scale
-            for part, scale in zip((*parts, cosine, sine), SCALES, strict=True)
+            column / scale for column, scale in zip(columns, self.scales, strict=True)
         ]
 
     def space(self) -> spaces.Box:
@@ -75,11 +82,10 @@ class CarStates(ObservationType):
 
     def observe(self) -> np.ndarray:
         """Return the observation of the present state."""
-        return self.of(
-            self.env.car_states, np.array(1 - self.env.steps / self.env.episode_steps)
-        )
+        time_left = 1 - self.env.steps / self.env.episode_steps
+        return np.asarray(self.of(self.env.car_states, np.array(time_left)))
 
-    def of(self, states: State, time_left: Any) -> Any:
+    def of(self, states: States, time_left: Numbers) -> Numbers:
         """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to
         the bounds of the space.
         """
@@ -98,17 +104,19 @@ class SceneStates(CarStates):
     time that is left, the same in all rows.
     """
 
-    REACHED = 80.0, 100.0
+    reached = (80.0, 100.0)
 
-    def ends(self, reached: Vector) -> tuple[Any, Any]:
+    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
         """See `CarStates`."""
-        return [0.0, *-reached, 0.0, 0.0], [1.0, *reached, 1.0, 1.0]
+        low = np.array([0.0, *-reached, 0.0, 0.0])
+        high = np.array([1.0, *reached, 1.0, 1.0])
+        return low, high
 
-    def columns(self, states: State, time_left: Any) -> list[Any]:
+    def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """See `CarStates`."""
         xp = states.__array_namespace__()
         ones = xp.ones_like(states[..., 0])
-        distances = cone_distances(self.env.game.scene, states) / SCALES[0]
+        distances = cone_distances(self.env.game.scene, states) / self.scales[0]
         return [
             ones,
             *super().columns(states, time_left),
@@ -117,19 +125,23 @@ class SceneStates(CarStates):
         ]
 
 
-def cone_distances(scene: Scene, states: State) -> Any:
+def cone_distances(scene: Scene, states: States) -> Float[Array, "*batch cars"]:
     """Return the distance from every car's front to the first cone ahead in its lane,
     infinite without one [m].
     """
     xp = states.__array_namespace__()
     cones = np.asarray(scene.obstacles, dtype=float)
+
+    # From every car to every cone, [..., cars, cones].
     ahead = cones[:, 0] - states[..., 0, None]
-    aside = xp.abs(cones[:, 1] - states[..., 1, None])
-    counts = (ahead > 0) & (aside < float(scene.lane_width) / 2)
+    across = xp.abs(cones[:, 1] - states[..., 1, None])
+    in_lane = across < float(scene.lane_width) / 2
+    counted = xp.where((ahead > 0) & in_lane, ahead, xp.inf)
+    nearest = xp.min(counted, axis=-1, initial=xp.inf)
+
+    # From front to front, instead of from centre to centre.
     lengths = float(scene.obstacle_size[0] + scene.car_size[0])
-    return (
-        xp.min(xp.where(counts, ahead, xp.inf), axis=-1, initial=xp.inf) - lengths / 2
-    )
+    return nearest - lengths / 2
 
 
 class CarTracks(CarStates):
@@ -140,13 +152,16 @@ class CarTracks(CarStates):
     ``env.present`` says which are there.
     """
 
-    BOUND = 1e4  # m, rad or m/s; never reached
+    bound = 1e4
+    """Bound of all numbers, which none reaches [m, rad, m/s]."""
 
-    def ends(self, reached: Vector) -> tuple[Any, Any]:
+    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
         """See `CarStates`."""
-        return [0.0, *[-self.BOUND] * 4], [1.0, *[self.BOUND] * 4]
+        low = np.array([0.0, *[-self.bound] * 4])
+        high = np.array([1.0, *[self.bound] * 4])
+        return low, high
 
-    def columns(self, states: State, time_left: Any) -> list[Any]:
+    def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """See `CarStates`."""
         return [self.env.present, *(facing(states).T * self.env.present)]
 
@@ -154,7 +169,9 @@ class CarTracks(CarStates):
 class TupleObservation(observations.TupleObservation):
     """Several observations at once, of types of highway-env and of this package."""
 
-    def __init__(self, env: Any, observation_configs: Sequence[Any], **_: Any) -> None:
+    def __init__(
+        self, env: AbstractEnv, observation_configs: Sequence[Config], **_: object
+    ) -> None:
         super().__init__(env, [])
         self.observation_types = [
             env.type_of(observations.observation_factory, each)
@@ -184,7 +201,10 @@ def finite(space: spaces.Space) -> spaces.Space:
     return space
 
 
-def is_possible(space: spaces.Space, action: Any) -> bool:
+# Actions
+
+
+def is_possible(space: spaces.Space, action: object) -> bool:
     """Return whether an environment can take an action: one of its space, or of finite
     numbers beyond a box's ends.
 
@@ -196,11 +216,9 @@ def is_possible(space: spaces.Space, action: Any) -> bool:
         numbers = np.asarray(action)
     except ValueError:  # of lists of different lengths
         return False
-    return (
-        numbers.shape == space.shape
-        and numbers.dtype.kind in "biuf"
-        and bool(np.isfinite(numbers).all())
-    )
+    if numbers.shape != space.shape or numbers.dtype.kind not in "biuf":
+        return False
+    return bool(np.isfinite(numbers).all())
 
 
 def limit_speed(
@@ -225,55 +243,68 @@ def _limited_action(
     control = actions.ContinuousAction.get_action(kind, action)
     vehicle = kind.controlled_vehicle
     friction = vehicle.friction if isinstance(vehicle, BicycleVehicle) else 0.0
-    limited = _within_speeds(
-        kind, np.array(control["acceleration"]), np.array(vehicle.speed), friction
-    )
+    acceleration = np.array(control["acceleration"])
+    limited = _within_speeds(kind, acceleration, np.array(vehicle.speed), friction)
     return control | {"acceleration": float(limited)}
 
 
 def _within_speeds(
-    kind: actions.ContinuousAction, acceleration: Any, speed: Any, friction: Any
-) -> Any:
-    """Limit accelerations that would leave the range of speeds within a step [m/s^2]."""
+    kind: actions.ContinuousAction,
+    acceleration: Numbers,
+    speed: Numbers,
+    friction: float | Numbers,
+) -> Numbers:
+    """Limit accelerations that would leave the range of speeds within a step.
+
+    Args:
+        kind: of actions, which has the range.
+        acceleration: that is asked for, before friction [m/s^2].
+        speed: of the cars now [m/s].
+        friction: acceleration that keeps the speed [m/s^2].
+    """
     if kind.speed_range is None:
         return acceleration
     xp = speed.__array_namespace__()
     frequency = kind.env.config["simulation_frequency"]
-    least, most = ((end - speed) * frequency for end in kind.speed_range)
-    return xp.clip(
-        acceleration,
-        xp.minimum(least, 0.0) + friction,
-        xp.maximum(most, 0.0) + friction,
-    )
+    slowest, fastest = kind.speed_range
+    lowest = xp.minimum((slowest - speed) * frequency, 0.0)
+    highest = xp.maximum((fastest - speed) * frequency, 0.0)
+    return xp.clip(acceleration, lowest + friction, highest + friction)
 
 
 def executed_controls(
-    kind: actions.ContinuousAction, dynamics: Dynamics, action: Any, cars: Any
-) -> Any:
-    """Return the controls (omega, acceleration) [..., 2] that cars [..., 4] execute for
-    actions [..., 2].
-    """
+    kind: actions.ContinuousAction,
+    dynamics: Dynamics,
+    action: Float[Array, "*batch 2"],
+    cars: Float[Array, "*batch 4"],
+) -> Float[Array, "*batch 2"]:
+    """Return the controls (omega, acceleration) that cars execute for actions."""
     xp = cars.__array_namespace__()
     speed = cars[..., 3]
-    shares = ((xp.clip(action, -1, 1) if kind.clip else action) + 1) / 2
-    (slowest, fastest), (left, right) = kind.acceleration_range, kind.steering_range
+
+    # The shares of the ranges, from 0 to 1.
+    clipped = xp.clip(action, -1, 1) if kind.clip else action
+    shares = (clipped + 1) / 2
+    slowest, fastest = kind.acceleration_range
+    left, right = kind.steering_range
     acceleration = slowest + shares[..., 0] * (fastest - slowest)
-    acceleration = _within_speeds(
-        kind, acceleration, speed, keep_velocity(dynamics, cars)[..., 1]
-    )
-    curvature = xp.tan(left + shares[..., 1] * (right - left)) / BicycleVehicle.LENGTH
+    steering = left + shares[..., 1] * (right - left)
+
+    friction = keep_velocity(dynamics, cars)[..., 1]
+    acceleration = _within_speeds(kind, acceleration, speed, friction)
+    curvature = xp.tan(steering) / BicycleVehicle.LENGTH
     omega = curvature if dynamics.steering == "curvature" else curvature * speed
     return xp.stack([omega, acceleration], axis=-1)
 
 
 class Autopilot(ActionType):
-    """The robot's controller, ``config["controller"]``, drives; the only action is 0."""
+    """Lets the robot's controller drive; the only action is 0."""
 
     def space(self) -> spaces.Space:
         """Return the space."""
         return spaces.Discrete(1)
 
-    def act(self, action: Any) -> None:
+    def act(self, action: object) -> None:
         """Do nothing: the robot plans when the road lets all vehicles act."""
 
 
@@ -289,14 +320,12 @@ class HumanModelAction(Autopilot):
         """Return the space."""
         rungs = len(self.env.settings.models)
         humans = self.env.settings.humans
-        return (
-            spaces.Discrete(rungs)
-            if humans == 1
-            else spaces.MultiDiscrete([rungs] * humans)
-        )
+        if humans == 1:
+            return spaces.Discrete(rungs)
+        return spaces.MultiDiscrete([rungs] * humans)
 
-    def act(self, action: Any) -> None:
+    def act(self, action: object) -> None:
         """Choose the models of the coming plan."""
         self.controlled_vehicle.controller.rule = in_order(
-            np.reshape(action, (1, -1)), self.env.settings.models
+            np.asarray(action).reshape(1, -1), self.env.settings.models
         )
