@@ -40,7 +40,7 @@ __all__ = [
 
 
 def _environment_class(scenario: Scenario) -> type[InteractionEnv]:
-    """Return a class of environments of a scenario, which `__getattr__` finds by name."""
+    """Return a class of environments of a scenario, which `__getattr__` finds."""
     name = environment_class_name(scenario.name)
     members = {
         "__doc__": f"Environments of the scenario ``{scenario.name}``.",

@@ -10,7 +10,14 @@ from os import PathLike, fspath
 from pathlib import Path
 from pickle import UnpicklingError
 from time import perf_counter
-from typing import Any, NamedTuple, TypeAlias
+from typing import (
+    Any,
+    NamedTuple,
+    Protocol,
+    SupportsFloat,
+    TypeAlias,
+    runtime_checkable,
+)
 
 import gymnasium as gym
 import numpy as np
@@ -21,21 +28,38 @@ from ms_highway.envs.info import plan_info
 from ms_highway.runtime.names import keep_apart
 from ms_highway.runtime.sources import digest
 
-Policy: TypeAlias = Callable[[Any], Any]
+Observation: TypeAlias = Any
+"""What an environment shows, of any type of Gymnasium's spaces."""
+
+Action: TypeAlias = Any
+"""What an environment takes, of any type of Gymnasium's spaces."""
+
+Policy: TypeAlias = Callable[[Observation], Action]
 """A function from an observation to an action."""
 
-FILE_END = ".zip"  # of agents that stable-baselines3 saves
+
+@runtime_checkable
+class Predictor(Protocol):
+    """An agent of stable-baselines3, or an object with the same method."""
+
+    def predict(
+        self, observation: Observation, *, deterministic: bool
+    ) -> tuple[np.ndarray, object]:
+        """Return the action for an observation, and a state that is ignored."""
+
+
+Agent: TypeAlias = Policy | Predictor
 
 
 class AddedAgent(NamedTuple):
     """An agent that has been added.
 
     Attributes:
-        source: policy, object with a method ``predict``, or file.
+        source: the agent, or the path of a file that stable-baselines3 has saved.
         config: action and observation of environments that it drives in.
     """
 
-    source: Any
+    source: Agent | str | PathLike[str]
     config: Config
 
 
@@ -49,7 +73,7 @@ def is_agent(name: str) -> bool:
     """Return whether a name is an added agent's, or that of a file that
     stable-baselines3 saves.
     """
-    return name in AGENTS or name.endswith(FILE_END)
+    return name in AGENTS or name.endswith(".zip")
 
 
 def agent_config(name: str) -> Config:
@@ -59,11 +83,9 @@ def agent_config(name: str) -> Config:
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
     chooses = isinstance(space, (spaces.Discrete, spaces.MultiDiscrete))
-    action = (
-        {"type": "HumanModelAction", "lambda": 0.0}
-        if chooses
-        else {"type": "ContinuousAction"}
-    )
+    action: Config = {"type": "ContinuousAction"}
+    if chooses:
+        action = {"type": "HumanModelAction", "lambda": 0.0}
     return {"action": action, **config}
 
 
@@ -76,10 +98,10 @@ def policy_of(name: str) -> Policy:
         ValueError: if the file is no agent.
     """
     agent = _agent(name)
-    if not hasattr(agent, "predict"):
+    if not isinstance(agent, Predictor):
         return agent
 
-    def predict(observation: Any) -> Any:
+    def predict(observation: Observation) -> Action:
         action, _ = agent.predict(observation, deterministic=True)
         return action if action.shape else action.item()
 
@@ -94,13 +116,15 @@ def agent_file(name: str) -> str | None:
     return fspath(source) if isinstance(source, (str, PathLike)) else None
 
 
-def _agent(name: str) -> Any:
+def _agent(name: str) -> Agent:
     """Return the agent that was added by this name, or that this file holds."""
-    file = agent_file(name)
-    return AGENTS[name].source if file is None else saved_policy(file)
+    source = AGENTS[name].source if name in AGENTS else name
+    if isinstance(source, (str, PathLike)):
+        return saved_policy(fspath(source))
+    return source
 
 
-def saved_policy(file: str) -> Any:
+def saved_policy(file: str) -> Predictor:
     """Return the policy of an agent that stable-baselines3 has saved; opening the file
     may run any code in it.
 
@@ -117,16 +141,19 @@ def saved_policy(file: str) -> Any:
 
 
 @cache
-def _saved_policy(file: str, content: str) -> Any:
+def _saved_policy(file: str, content: str) -> Predictor:
     """Read a file once for every content, whose digest is given; see `saved_policy`."""
     try:
         from stable_baselines3.common.save_util import load_from_zip_file
 
         data, parameters, _ = load_from_zip_file(file, device="cpu")
-        explores = {"use_sde": True} if data.get("use_sde") else {}
-        both = data["observation_space"], data["action_space"]
+        options = {"use_sde": True} if data.get("use_sde") else {}
         policy = data["policy_class"](
-            *both, lambda _: 0.0, **explores, **data["policy_kwargs"]
+            data["observation_space"],
+            data["action_space"],
+            lambda _: 0.0,  # the learning rate, which nothing uses
+            **options,
+            **data["policy_kwargs"],
         )
         policy.load_state_dict(parameters["policy"])
     except ModuleNotFoundError as error:
@@ -190,34 +217,36 @@ class AgentDrives(gym.Wrapper):
         self.policy = policy_of(name)
         self.action_space = spaces.Discrete(1)
 
-    def reset(self, **options: Any) -> tuple[Any, Config]:
+    def reset(self, **options: Any) -> tuple[Observation, Config]:
         """Start an episode."""
-        self._seen, info = self.env.reset(**options)
-        return self._seen, self._described(info, "", "", 0.0)
+        self._observation, info = self.env.reset(**options)
+        return self._observation, self._described(info, "", "", 0.0)
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, Config]:
+    def step(
+        self, action: object
+    ) -> tuple[Observation, SupportsFloat, bool, bool, Config]:
         """Let the agent choose an action, and take it.
 
         Raises:
             ValueError: if the environment's action space does not contain the agent's
                 action.
         """
-        seen = deepcopy(self._seen)  # which others hold, too
+        observation = deepcopy(self._observation)  # which others hold, too
         start = perf_counter()
-        chosen = self.policy(seen)
+        chosen = self.policy(observation)
         seconds = perf_counter() - start
-        if isinstance(
-            self.env.action_space, spaces.Box
-        ):  # agents may return lists or double precision
+
+        # Agents may return lists or double precision.
+        if isinstance(self.env.action_space, spaces.Box):
             chosen = np.asarray(chosen, self.env.action_space.dtype)
         if not self.env.action_space.contains(chosen):
             raise ValueError(
                 f"the agent {self.name!r} chose {chosen!r}; the actions are"
                 f" {self.env.action_space}"
             )
-        self._seen, reward, terminated, truncated, info = self.env.step(chosen)
+        self._observation, reward, terminated, truncated, info = self.env.step(chosen)
         described = self._described(info, self.name, "planned", seconds)
-        return self._seen, reward, terminated, truncated, described
+        return self._observation, reward, terminated, truncated, described
 
     def _described(
         self, info: Config, model: str, status: str, seconds: float

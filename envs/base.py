@@ -3,22 +3,23 @@ them.
 """
 
 from dataclasses import asdict, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import jax
 import numpy as np
 from highway_env.road.road import Road
+from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Int
 
 from ms_highway.choice.belief import equal_probabilities
 from ms_highway.choice.rule import in_order
 from ms_highway.envs.configuration import Changes, Config, as_dictionary, read_own
 from ms_highway.envs.configured import not_simulated
-from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.game_env import Cone, GameEnv, straight_road
 from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.human_drivers import draw_drivers, human_controller, vehicle_class
 from ms_highway.envs.info import InteractionInfo, gains_info, human_status, plan_info
+from ms_highway.envs.keyboard import Keyboard
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
@@ -41,8 +42,8 @@ class InteractionEnv(GameEnv):
     after the step.
 
     ``notebooks/REFERENCE.md`` is the manual: actions, observations, rewards, the keys
-    of ``config`` and of ``info``, and the options of ``reset``. The keys of ``config``
-    that highway-env does not have are the fields of `ms_highway.envs.settings.Settings`.
+    of ``config`` and of ``info``, and the options of ``reset``. The fields of
+    `ms_highway.envs.settings.Settings` are the keys that highway-env does not have.
 
     A subclass with an attribute ``scenario`` is an environment of one's own, see
     `ms_highway.add_scenario`.
@@ -168,13 +169,13 @@ class InteractionEnv(GameEnv):
         return facing(states)
 
     def _build_road(self, states: State) -> None:
-        """Build the road with its cones, and place the cars in these states [cars, 4]."""
+        """Build the road with its cones, and place cars in these states [cars, 4]."""
         self.road = Road(straight_road(self.game), np_random=self.np_random)
 
         # Robot, humans and scripted cars, in this order.
         humans = self.settings.humans
         human_class = vehicle_class(self.settings.human_driver)
-        classes: list[Any] = [
+        classes: list[type[Vehicle]] = [
             RobotVehicle,
             *[human_class] * humans,
             *[ScriptedVehicle] * (self.cars - 1 - humans),
@@ -198,7 +199,7 @@ class InteractionEnv(GameEnv):
         """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`; they may also
         drive a human.
         """
-        return KEYBOARD in self.settings.drivers or super().keys_drive
+        return Keyboard.name in self.settings.drivers or super().keys_drive
 
     @property
     def cars(self) -> int:
@@ -307,7 +308,7 @@ class InteractionEnv(GameEnv):
     # A step
 
     @not_simulated
-    def _simulate(self, action: Any = None) -> None:
+    def _simulate(self, action: object = None) -> None:
         """Let all cars plan and move, evaluate the robot's new state, and let the agent
         pay for the model it chose.
         """
@@ -325,7 +326,7 @@ class InteractionEnv(GameEnv):
             self._terms[COMPUTATION] = -float(self.config["action"]["lambda"] * counted)
         self.history.append((step, self._reward(action)))
 
-    def _info(self, obs: Any, action: Any = None) -> Config:
+    def _info(self, obs: object, action: object = None) -> Config:
         """Describe the last step; keys, types and shapes are the same after a reset."""
         info = super()._info(obs, action)
         several = bool(self.scenario.streams)

@@ -9,7 +9,16 @@ from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
 from inspect import signature
 from os import PathLike, fspath
-from typing import Annotated, Any, Literal, TypeAlias, TypeVar, get_args, get_origin
+from typing import (
+    Annotated,
+    Any,
+    Literal,
+    TypeAlias,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+)
 
 import numpy as np
 from highway_env.envs.common.observation import (
@@ -25,8 +34,20 @@ from msgspec.structs import fields
 from ms_highway.runtime.limits import LARGEST, Number
 
 Config: TypeAlias = dict[str, Any]
+"""Values by key, of types that JSON has."""
+
 Changes: TypeAlias = Mapping[str, Any]
-Types: TypeAlias = Mapping[str, Mapping[str, Config]]
+"""Values by key that a user gives; those of NumPy are converted."""
+
+Unchecked: TypeAlias = Any
+"""Annotation of a value that highway-env checks, or nobody."""
+
+Annotation: TypeAlias = object
+"""What msgspec checks a value against: a type, or `Annotated` with limits."""
+
+Types: TypeAlias = Mapping[str, Mapping[str, dict[str, Annotation]]]
+"""Kinds of spaces, their types, and the annotations of each type's keys."""
+
 Kind = TypeVar("Kind", bound=Struct)
 
 Price = Annotated[
@@ -54,20 +75,26 @@ Range = Annotated[
     Ends | None,
     Meta(description="give the lowest value first, then the highest, such as [-5, 5]"),
 ]
-RANGES: Config = {
-    **dict.fromkeys(("acceleration_range", "steering_range", "speed_range"), Range),
-    **dict.fromkeys(("longitudinal", "lateral", "clip"), Any),
-}
 Parts = Annotated[
-    list[Any], Meta(min_length=1, description="give a list of observations")
+    list[Unchecked], Meta(min_length=1, description="give a list of observations")
 ]
 
+RANGES: dict[str, Annotation] = {
+    "acceleration_range": Range,
+    "steering_range": Range,
+    "speed_range": Range,
+    "longitudinal": Unchecked,
+    "lateral": Unchecked,
+    "clip": Unchecked,
+}
+"""Keys of actions that are the controls, and the annotations of their values."""
 
-def keys_of(kind: type[Any]) -> Config:
+
+def keys_of(kind: type) -> dict[str, Annotation]:
     """Return the keys of one of highway-env's types of actions or observations; it does
     not restrict their values.
     """
-    return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Any)
+    return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Unchecked)
 
 
 TYPES: Types = {
@@ -75,7 +102,7 @@ TYPES: Types = {
         "Autopilot": {},
         "HumanModelAction": {"lambda": Price},
         "ContinuousAction": RANGES,
-        "DiscreteAction": RANGES | {"actions_per_axis": Any},
+        "DiscreteAction": {**RANGES, "actions_per_axis": Unchecked},
     },
     "observation": {
         "CarStates": {},
@@ -93,7 +120,7 @@ values.
 """
 
 
-def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> None:
+def refuse_unknown(place: str, given: Iterable[object], known: Iterable[str]) -> None:
     """Refuse unknown keys.
 
     Raises:
@@ -106,17 +133,16 @@ def refuse_unknown(place: str, given: Iterable[Any], known: Iterable[str]) -> No
             f"{place} are {given!r}; give a mapping with keys out of {', '.join(known)}"
         )
     for key in given:
-        if key not in known:
-            near = get_close_matches(str(key), known, n=1)
-            hint = (
-                f"did you mean {near[0]!r}?"
-                if near
-                else f"the keys are {', '.join(known)}"
-            )
-            raise ValueError(f"unknown key {key!r} in {place}; {hint}")
+        if key in known:
+            continue
+        hint = f"the keys are {', '.join(known)}"
+        similar = get_close_matches(str(key), known, n=1)
+        if similar:
+            hint = f"did you mean {similar[0]!r}?"
+        raise ValueError(f"unknown key {key!r} in {place}; {hint}")
 
 
-def checked_seed(seed: Any) -> int | None:
+def checked_seed(seed: object) -> int | None:
     """Return a seed as Gymnasium takes it, a Python number; None stays None, for a seed
     that is drawn.
 
@@ -132,7 +158,7 @@ def checked_seed(seed: Any) -> int | None:
     return int(seed)
 
 
-def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind:
+def read(kind: type[Kind], place: str, values: object, strict: bool = True) -> Kind:
     """Return the values of a configuration as a struct; NumPy's numbers and arrays
     count as Python's.
 
@@ -145,39 +171,39 @@ def read(kind: type[Kind], place: str, values: Any, strict: bool = True) -> Kind
     Raises:
         ValueError: for anything unknown, missing or impossible.
     """
-    values = as_dictionary(place, values)
-    known = {each.encode_name: each for each in fields(kind)}
+    given = as_dictionary(place, values)
+    known = {field.encode_name: field for field in fields(kind)}
     tag = kind.__struct_config__.tag_field
-    refuse_unknown(place, values, [*known, tag] if tag else known)
-    for key, each in known.items():
-        if each.required or key in values:
-            check(f"{place}[{key!r}]", values.get(key), each.type, strict)
+    refuse_unknown(place, given, [*known, tag] if tag else known)
+    for key, field in known.items():
+        if field.required or key in given:
+            check(f"{place}[{key!r}]", given.get(key), field.type, strict)
     try:
-        return convert(values, kind, strict=strict)
+        return convert(given, kind, strict=strict)
     except ValidationError as error:
         raise (error.__cause__ or error) from None
 
 
-def as_dictionary(place: str, values: Any) -> Config:
+def as_dictionary(place: str, values: object) -> Config:
     """Return a mapping as a dictionary of types that JSON has, see `as_json`.
 
     Raises:
         ValueError: for anything but a mapping.
     """
-    values = as_json(values)
-    if not isinstance(values, dict):
-        raise ValueError(f"{place} is {values!r}; it must be a dictionary")
-    return values
+    converted = as_json(values)
+    if not isinstance(converted, dict):
+        raise ValueError(f"{place} is {converted!r}; it must be a dictionary")
+    return converted
 
 
-def as_json(values: Any) -> Any:
+def as_json(values: object) -> Any:
     """Convert values to types that JSON has: NumPy's numbers and arrays, mappings and
     paths to Python's own types.
     """
     return to_builtins(values, enc_hook=_builtin)
 
 
-def _builtin(value: Any) -> Any:
+def _builtin(value: object) -> object:
     """Convert a value of NumPy, a mapping or a path; turn any other object into a text,
     which a check refuses.
     """
@@ -188,7 +214,9 @@ def _builtin(value: Any) -> Any:
     return fspath(value) if isinstance(value, PathLike) else repr(value)
 
 
-def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
+def check(
+    place: str, value: object, annotation: Annotation, strict: bool = True
+) -> None:
     """Check the value of a key against an annotation.
 
     Raises:
@@ -196,7 +224,7 @@ def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
             expects, as the remedy.
     """
     try:
-        convert(value, annotation, strict=strict)
+        convert(value, cast(type, annotation), strict=strict)
     except ValidationError as error:
         remedy = str(error).replace("Expected", "expected")
         if get_origin(annotation) is Literal:
@@ -207,7 +235,9 @@ def check(place: str, value: Any, annotation: Any, strict: bool = True) -> None:
         raise ValueError(f"{place} is {value!r}; {remedy}") from None
 
 
-def check_type(place: str, values: Any, known: Mapping[str, Config]) -> None:
+def check_type(
+    place: str, values: object, known: Mapping[str, dict[str, Annotation]]
+) -> None:
     """Check an action or observation type, with the parts of a ``TupleObservation``.
 
     Raises:
@@ -229,8 +259,5 @@ def read_own(kind: type[Kind], config: Changes) -> Kind:
     """Read the keys of a struct from a whole configuration, see `read`; the other keys
     are highway-env's.
     """
-    return read(
-        kind,
-        "config",
-        {each.encode_name: config[each.encode_name] for each in fields(kind)},
-    )
+    names = [field.encode_name for field in fields(kind)]
+    return read(kind, "config", {name: config[name] for name in names})

@@ -4,7 +4,7 @@ configuration and checked actions.
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import Any, ClassVar, TypeVar
+from typing import ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from gymnasium import spaces
@@ -12,17 +12,22 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.envs.common.action import (
+    ActionType,
     ContinuousAction,
     DiscreteMetaAction,
     action_factory,
 )
-from highway_env.envs.common.observation import observation_factory
+from highway_env.envs.common.observation import ObservationType, observation_factory
+from highway_env.road.road import Road
+from msgspec import Struct
 
 from ms_highway.envs.configuration import (
     TYPES,
+    Annotation,
     Changes,
     Config,
     Types,
+    Unchecked,
     as_dictionary,
     as_json,
     check,
@@ -59,7 +64,7 @@ def not_simulated(method: Method) -> Method:
     return method
 
 
-OWN_TYPES = {
+OWN_TYPES: dict[str, type] = {
     kind.__name__: kind
     for kind in (
         Autopilot,
@@ -70,8 +75,7 @@ OWN_TYPES = {
         TupleObservation,
     )
 }
-SCALARS: dict[type, Any] = {bool: bool, int: Positive, float: Positive}
-"""Annotations of the values of highway-env's own keys, by the type of their default."""
+"""The package's types of actions and observations, by name."""
 
 UNUSED = {
     "other_vehicles_type": (
@@ -86,13 +90,62 @@ UNUSED = {
 effect.
 """
 
-USUAL_RANGES = {
-    "steering_range": [
-        -0.1,
-        0.1,
-    ],  # rad, of the front wheels: at 20 m/s, 0.1 rad takes the 8 m/s^2 that tyres hold
-    "speed_range": [0.0, 40.0],  # m/s, highway-env's highest speed
-}
+
+SpaceType: TypeAlias = ActionType | ObservationType
+
+
+def merged(changes: Config, config: Config) -> Config:
+    """Return a configuration after changes.
+
+    A nested mapping changes only the keys that it names. It replaces the old mapping if
+    its ``type`` differs or if it is the humans' reward.
+    """
+    whole: Config = {**config, **changes}
+    for key, value in changes.items():
+        before = config[key]
+        both_nested = isinstance(value, dict) and isinstance(before, dict)
+        if not both_nested or key == "human_reward":
+            continue
+        if value.get("type", before.get("type")) == before.get("type"):
+            whole[key] = {**before, **value}
+    return whole
+
+
+def _check_highway_env(config: Config, defaults: Config) -> None:
+    """Check the values of highway-env's own keys.
+
+    Raises:
+        ValueError: for another type than the default's, and for a change of a key that
+            has no effect.
+    """
+    annotations: dict[type, Annotation] = {bool: bool, int: Positive, float: Positive}
+    for key, default in defaults.items():
+        annotation = annotations.get(type(default), Unchecked)
+        check(f"config[{key!r}]", config[key], annotation)
+        if key in UNUSED and config[key] != default:
+            raise ValueError(
+                f"config[{key!r}] is {config[key]!r}, which has no effect here;"
+                f" {UNUSED[key]}"
+            )
+
+
+def _set_frequencies(config: Config, changes: Config) -> None:
+    """Let cars act, and the road move, once in each planned step.
+
+    Raises:
+        ValueError: for a change to another frequency.
+    """
+    frequency = 1 / config.get("time_step", TIME_STEP)
+    if np.isclose(frequency, round(frequency)):
+        frequency = round(frequency)
+    for key in ("simulation_frequency", "policy_frequency"):
+        if not np.isclose(changes.get(key, frequency), frequency):
+            remedy = (
+                f"plans are made of steps of {1 / frequency:g} s, so it must be"
+                f" {frequency:g}"
+            )
+            raise ValueError(f"config[{key!r}] is {config[key]!r}; {remedy}")
+        config[key] = frequency
 
 
 class ConfiguredEnv(AbstractEnv):
@@ -104,19 +157,27 @@ class ConfiguredEnv(AbstractEnv):
             ``settings_type``.
     """
 
-    settings_type: ClassVar[Any]
+    settings_type: ClassVar[type[Struct]]
     types: ClassVar[Types] = TYPES
     reset_options: ClassVar[tuple[str, ...]] = ("config",)
     viewer_type: ClassVar[type[Viewer]] = Viewer
+
+    # At 20 m/s, 0.1 rad of the front wheels takes the 8 m/s^2 that tyres hold; 40 m/s
+    # is highway-env's highest speed.
+    usual_ranges: ClassVar[dict[str, list[float]]] = {
+        "steering_range": [-0.1, 0.1],
+        "speed_range": [0.0, 40.0],
+    }
+
+    settings: Struct
     viewer: Viewer | None
-    road: Any
+    road: Road
     config: Config
     metadata: Config
-    action_space: Any
-    _running, _stale = (
-        False,
-        False,
-    )  # whether an episode runs; whether the next step needs a reset first
+    action_space: spaces.Space
+
+    _running = False  # whether an episode runs
+    _stale = False  # whether the next step needs a reset first
     _made = False  # whether the constructor has ended
     _coming: Config | None = None  # the configuration of the next episode
     _spec: EnvSpec | None = None
@@ -125,7 +186,7 @@ class ConfiguredEnv(AbstractEnv):
         self, config: Config | None = None, render_mode: str | None = None
     ) -> None:
         super().__init__(config, render_mode)
-        # the episode that highway-env starts in its constructor does not count
+        # The episode that highway-env starts in its constructor does not count.
         self._running = False
         self._made = True
 
@@ -147,58 +208,25 @@ class ConfiguredEnv(AbstractEnv):
         cls, changes: Changes | None, config: Changes | None = None
     ) -> Config:
         """Return the whole configuration after changes of a configuration, by default
-        of the default one.
-
-        A nested mapping changes only the keys that it names. It replaces the old
-        mapping if its ``type`` differs or if it is the humans' reward.
+        of the default one, see `merged`.
 
         Raises:
             ValueError: for anything unknown or impossible.
         """
-        changes = as_dictionary("the configuration", {} if changes is None else changes)
-        defaults = as_dictionary(
-            "the configuration", cls.default_config() if config is None else config
-        )
-        refuse_unknown("config", changes, defaults)
-        whole: Config = {**defaults, **changes}
-        for key, value in changes.items():
-            before = defaults[key]
-            if (
-                isinstance(value, dict)
-                and isinstance(before, dict)
-                and key != "human_reward"
-            ):
-                same_type = value.get("type", before.get("type")) == before.get("type")
-                whole[key] = {**before, **value} if same_type else value
+        place = "the configuration"
+        changes = as_dictionary(place, {} if changes is None else changes)
+        known = as_dictionary(place, cls.default_config() if config is None else config)
+        refuse_unknown("config", changes, known)
+        whole = merged(changes, known)
         read_own(cls.settings_type, whole)
-        for key, default in super().default_config().items():
-            check(f"config[{key!r}]", whole[key], SCALARS.get(type(default), Any))
-            if key in UNUSED and whole[key] != default:
-                raise ValueError(
-                    f"config[{key!r}] is {whole[key]!r}, which has no effect here;"
-                    f" {UNUSED[key]}"
-                )
-        frequency = 1 / whole.get(
-            "time_step", TIME_STEP
-        )  # cars act, and the road moves, once in each planned step
-        frequency = (
-            round(frequency) if np.isclose(frequency, round(frequency)) else frequency
-        )
-        for key in ("simulation_frequency", "policy_frequency"):
-            if not np.isclose(changes.get(key, frequency), frequency):
-                remedy = (
-                    f"plans are made of steps of {1 / frequency:g} s, so it must be"
-                    f" {frequency:g}"
-                )
-                raise ValueError(f"config[{key!r}] is {whole[key]!r}; {remedy}")
-            whole[key] = frequency
-        for key, known in cls.types.items():
-            check_type(f"config[{key!r}]", whole[key], known)
+        _check_highway_env(whole, super().default_config())
+        _set_frequencies(whole, changes)
+        for key, types in cls.types.items():
+            check_type(f"config[{key!r}]", whole[key], types)
+
+        # The usual ranges are copies, which users may change.
         if "speed_range" in cls.types["action"][whole["action"]["type"]]:
-            whole["action"] = {
-                **as_json(USUAL_RANGES),
-                **whole["action"],
-            }  # a copy, which users may change
+            whole["action"] = {**as_json(cls.usual_ranges), **whole["action"]}
         return whole
 
     def configure(self, config: Config | None) -> None:
@@ -220,13 +248,14 @@ class ConfiguredEnv(AbstractEnv):
             self._coming = None
             self._read()
             super().configure(None)
-            if hasattr(self, "road"):  # not yet in highway-env's constructor
-                road, self.road = (
-                    self.road,
-                    None,
-                )  # spaces must not depend on the cars of the last episode
+
+            # Spaces must not depend on the cars of the last episode; highway-env's
+            # constructor has no road yet.
+            if hasattr(self, "road"):
+                last_road = self.road
+                self.road = None
                 self.define_spaces()
-                self.road = road
+                self.road = last_road
                 self._stale = True
 
     @contextmanager
@@ -245,9 +274,8 @@ class ConfiguredEnv(AbstractEnv):
 
     def update_metadata(self, video_real_time_ratio: int = 1) -> None:
         """Set the frames per second of a video that plays at true speed."""
-        self.metadata = dict(
-            self.metadata
-        )  # highway-env would write into the dictionary that all environments share
+        # highway-env would write into the dictionary that all environments share.
+        self.metadata = dict(self.metadata)
         super().update_metadata(video_real_time_ratio)
 
     @property
@@ -266,19 +294,19 @@ class ConfiguredEnv(AbstractEnv):
         self.action_space = self.action_type.space()
         if before == self.action_space:
             self.action_space = before
-        self.observation_type = self.type_of(
-            observation_factory, self.config["observation"]
-        )
+        observation = self.config["observation"]
+        self.observation_type = self.type_of(observation_factory, observation)
         enable_pictures(self)
         self.observation_space = finite(self.observation_type.space())
 
-    def type_of(self, factory: Any, config: Config) -> Any:
+    def type_of(
+        self, factory: Callable[[AbstractEnv, Config], SpaceType], config: Config
+    ) -> SpaceType:
         """Make a type of actions or observations: one of the package, or else by a
         factory of highway-env.
         """
-        if (
-            "observation_shape" in config
-        ):  # highway-env needs a tuple; JSON has only lists
+        # highway-env needs a tuple; JSON has only lists.
+        if "observation_shape" in config:
             config = {**config, "observation_shape": tuple(config["observation_shape"])}
         kind = OWN_TYPES.get(config["type"])
         return kind(self, **config) if kind else factory(self, config)
@@ -312,27 +340,25 @@ class ConfiguredEnv(AbstractEnv):
             start = super().reset(seed=seed)
         self._running = True
         self._stale = False
+        # An action even before the first key is pressed.
         if self.config["manual_control"]:
-            self.action_type.act(
-                self.action_type.last_action
-            )  # an action even before the first key is pressed
+            self.action_type.act(self.action_type.last_action)
         return start
 
-    def get_available_actions(self) -> Sequence[Any]:
+    def get_available_actions(self) -> Sequence[object]:
         """Return the actions available now: all discrete actions, or highway-env's
         selection of meta-actions.
         """
         space = self.action_space
         if isinstance(space, spaces.MultiDiscrete):
             return [*np.ndindex(*space.nvec)]
-        if isinstance(space, spaces.Discrete) and not isinstance(
-            self.action_type, DiscreteMetaAction
-        ):
+        chooses_manoeuvres = isinstance(self.action_type, DiscreteMetaAction)
+        if isinstance(space, spaces.Discrete) and not chooses_manoeuvres:
             return range(space.n)
         return super().get_available_actions()
 
     @not_simulated
-    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, Config]:
+    def step(self, action: object) -> tuple[np.ndarray, float, bool, bool, Config]:
         """Let all cars act and move for a time step.
 
         Raises:

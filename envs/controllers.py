@@ -7,11 +7,11 @@ the keys of ``config["controller"]``, see `ms_highway.choice.rule.Part`.
 """
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from functools import partial
 from math import nan
-from typing import Annotated, Any, NamedTuple, NoReturn, Self, TypeAlias, get_type_hints
+from typing import Annotated, NamedTuple, NoReturn, Self, TypeAlias, get_type_hints
 
 import numpy as np
 from msgspec import Meta, convert, json
@@ -50,15 +50,11 @@ from ms_highway.loop.driver import Driver, drivable
 from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime.limits import NotNegative
 
-KEYBOARD = "keyboard"  # name of the human driver that reads the keyboard
 PLACE = "config['controller']"
-COMMON = ("type", "belief")  # keys of all controllers
-LAMBDA = "lambda"  # key of the field `price`, as no field can have this name
-ROUNDING = 1e-6  # how far a sum of shares may be from 1
-PER_HUMAN = (
-    "models per human are gone since 3.0.0; name one model for a step, or choose them"
-    " by an agent's actions"
-)
+"""What errors name."""
+
+COMMON_KEYS = ("type", "belief")
+"""Keys of all controllers."""
 
 Models = Annotated[
     tuple[str, ...], Meta(min_length=1, description="give a list of human models")
@@ -81,7 +77,10 @@ class ModelOrder(Part):
     def __post_init__(self) -> None:
         for name in self.names():
             if "/" in name:
-                raise ValueError(f"{PLACE} names {name!r}; {PER_HUMAN}")
+                raise ValueError(
+                    f"{PLACE} names {name!r}; models per human are gone since 3.0.0;"
+                    " name one model for a step, or choose them by an agent's actions"
+                )
             if not is_model(name):
                 raise ValueError(
                     f"{PLACE} names {name!r}; the human models are {model_names()}"
@@ -97,13 +96,12 @@ class ModelOrder(Part):
         """
         return np.array(self.names())[:, None]
 
-    def rule(self, start: Start) -> Rule[Any]:
+    def rule(self, start: Start) -> Rule[GameEvidence]:
         """Return the rule of an episode, see `ms_highway.choice.rule.in_order`."""
         table = self.table(start)
         names = list(dict.fromkeys(table.ravel().tolist()))
-        return in_order(
-            np.vectorize(names.index)(table), tuple(map(human_model, names))
-        )
+        rungs = np.vectorize(names.index)(table)
+        return in_order(rungs, tuple(map(human_model, names)))
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,8 @@ class RandomModels(ModelOrder):
     def __post_init__(self) -> None:
         super().__post_init__()
         total = sum(self.shares.values())
-        if abs(total - 1) > ROUNDING:
+        rounding = 1e-6
+        if abs(total - 1) > rounding:
             raise ValueError(
                 f"{PLACE}['shares'] sum to {total:g}; change one, so that they sum to 1"
             )
@@ -151,14 +150,8 @@ class RandomModels(ModelOrder):
     def table(self, start: Start) -> np.ndarray:
         """See `ModelOrder.table`."""
         shares = np.array([self.shares[name] for name in self.names()])
-        return start.random.choice(
-            self.names(), size=(start.steps, start.humans), p=shares / shares.sum()
-        )
-
-
-REPEATED = re.compile(
-    "(.+)=([0-9]{1,5})"
-)  # a model and its number of steps in a short name
+        size = (start.steps, start.humans)
+        return start.random.choice(self.names(), size=size, p=shares / shares.sum())
 
 
 def schedule_of(text: str) -> Config:
@@ -167,8 +160,11 @@ def schedule_of(text: str) -> Config:
     """
     models: list[str] = []
     for part in text.split(","):
-        repeated = REPEATED.fullmatch(part)
-        models += [repeated[1]] * int(repeated[2]) if repeated else [part]
+        repeated = re.fullmatch("(.+)=([0-9]{1,5})", part)
+        if repeated:
+            models += [repeated[1]] * int(repeated[2])
+        else:
+            models.append(part)
     return {"models": models}
 
 
@@ -178,11 +174,9 @@ def shares_of(text: str) -> Config:
     Raises:
         ValueError: if it names a model twice.
     """
-    shares = {
-        name: share
-        for name, _, share in (part.partition("=") for part in text.split(","))
-    }
-    if len(shares) <= text.count(","):
+    parts = [part.partition("=") for part in text.split(",")]
+    shares = {name: share for name, _, share in parts}
+    if len(shares) < len(parts):
         raise ValueError(f"the shares {text!r} name a model twice; name each once")
     return {"shares": shares}
 
@@ -236,11 +230,11 @@ class ControllerSettings:
     """
 
     type: str
-    chooser: Chooser[Any] | ModelOrder | Outside
-    estimator: Estimator[Any] | None = None
+    chooser: Chooser[GameEvidence] | ModelOrder | Outside
+    estimator: Estimator[GameEvidence] | None = None
     belief: bool = False
 
-    def __init_subclass__(cls, **_: Any) -> NoReturn:
+    def __init_subclass__(cls, **_: object) -> NoReturn:
         """Refuse settings of rules that are classes of their own, as before version 3.
 
         Raises:
@@ -290,26 +284,20 @@ class ControllerSettings:
 
     def learned(self, start: Start) -> Values | None:
         """Return the learned values that estimate gains; None without any."""
-        return (
-            self.estimator.values_for(start)
-            if isinstance(self.estimator, LearnedValue)
-            else None
-        )
+        if not isinstance(self.estimator, LearnedValue):
+            return None
+        return self.estimator.values_for(start)
 
     def files(self) -> tuple[str, ...]:
         """Return the paths of the files that the controller is read from, beside its
         settings.
         """
-        file = (
-            agent_file(self.chooser.name)
-            if isinstance(self.chooser, DrivenByAgent)
-            else None
-        )
-        if (
-            isinstance(self.estimator, LearnedValue)
-            and self.estimator.values != SHIPPED_VALUES
-        ):
-            file = self.estimator.values
+        file = None
+        if isinstance(self.chooser, DrivenByAgent):
+            file = agent_file(self.chooser.name)
+        elif isinstance(self.estimator, LearnedValue):
+            values = self.estimator.values
+            file = None if values == SHIPPED_VALUES else values
         return (file,) if file else ()
 
     def names(self) -> tuple[str, ...]:
@@ -350,7 +338,11 @@ class ControllerSettings:
             drivable(self.rule(start), self.belief)
 
     def driver(
-        self, game: Game, start: Start, way_out: bool, order: Rule[Any] | None = None
+        self,
+        game: Game,
+        start: Start,
+        way_out: bool,
+        order: Rule[GameEvidence] | None = None,
     ) -> Controller:
         """Return what drives the robot in an episode.
 
@@ -378,16 +370,12 @@ class ControllerSettings:
         if self.belief:
             given["belief"] = True
         for part in (self.chooser, self.estimator):
-            if part is not None:
-                own = {
-                    key: (getattr(part, each.name), each.default)
-                    for key, each in keys_of(type(part)).items()
-                }
-                given |= {
-                    key: value
-                    for key, (value, default) in own.items()
-                    if value != default
-                }
+            if part is None:
+                continue
+            for key, field in keys_of(type(part)).items():
+                value = getattr(part, field.name)
+                if value != field.default:
+                    given[key] = value
         return json.decode(json.encode(as_json(given)))
 
 
@@ -418,11 +406,13 @@ class Pair(NamedTuple):
         chooser's first.
         """
         keys = keys_of(self.chooser_class)
-        return (
-            keys if self.estimator is None else keys | keys_of(class_of(self.estimator))
-        )
+        if self.estimator is None:
+            return keys
+        return keys | keys_of(class_of(self.estimator))
 
-    def read(self, kind: str, config: Any, strict: bool = True) -> ControllerSettings:
+    def read(
+        self, kind: str, config: object, strict: bool = True
+    ) -> ControllerSettings:
         """Read the configuration of a controller of this type.
 
         Args:
@@ -435,13 +425,13 @@ class Pair(NamedTuple):
         """
         values = as_dictionary(PLACE, config)
         keys = self.keys()
-        refuse_unknown(PLACE, values, [*keys, *COMMON])
+        refuse_unknown(PLACE, values, [*keys, *COMMON_KEYS])
         check(f"{PLACE}['belief']", values.get("belief", False), bool, strict)
         belief = convert(values.get("belief", False), bool, strict=strict)
         chooser = made(self.chooser, values, strict)
-        estimator = (
-            None if self.estimator is None else made(self.estimator, values, strict)
-        )
+        estimator = None
+        if self.estimator is not None:
+            estimator = made(self.estimator, values, strict)
         return ControllerSettings(kind, chooser, estimator, belief)  # type: ignore[arg-type]
 
 
@@ -455,14 +445,15 @@ def keys_of(part: type[Part]) -> dict[str, Field]:
     is the key ``lambda``.
     """
     own: tuple[Field, ...] = fields(part) if is_dataclass(part) else ()
-    return {
-        LAMBDA if each.name == "price" else each.name: each
-        for each in own
-        if FROM_START.items().isdisjoint(each.metadata.items())
-    }
+    keys: dict[str, Field] = {}
+    for field in own:
+        if FROM_START.items().isdisjoint(field.metadata.items()):
+            # No field can have the name lambda.
+            keys["lambda" if field.name == "price" else field.name] = field
+    return keys
 
 
-def made(part: PartMaker, values: Mapping[str, Any], strict: bool) -> Part:
+def made(part: PartMaker, values: Config, strict: bool) -> Part:
     """Make a part from the values of a configuration.
 
     Raises:
@@ -470,11 +461,11 @@ def made(part: PartMaker, values: Mapping[str, Any], strict: bool) -> Part:
     """
     kind = class_of(part)
     annotations = get_type_hints(kind, include_extras=True)
-    given: dict[str, Any] = {}
-    for key, each in keys_of(kind).items():
-        required = each.default is MISSING and each.default_factory is MISSING
+    given: Config = {}
+    for key, field in keys_of(kind).items():
+        required = field.default is MISSING and field.default_factory is MISSING
         if required or key in values:
-            annotation = annotations[each.name]
+            annotation = annotations[field.name]
             check(f"{PLACE}[{key!r}]", values.get(key), annotation, strict)
-            given[each.name] = convert(values.get(key), annotation, strict=strict)
+            given[field.name] = convert(values.get(key), annotation, strict=strict)
     return part(**given)

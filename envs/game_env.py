@@ -1,12 +1,13 @@
-"""Define the base of environments that play a game: road, cones and the reward of car 0."""
+"""Define the base of environments that play a game: car 0's reward, and the road."""
 
-from typing import Any
+from collections.abc import Sequence
 
 import jax
 import numpy as np
 from gymnasium import spaces
 from highway_env.road.lane import LineType, StraightLane
 from highway_env.road.road import RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Obstacle
 
 from ms_highway.envs.configuration import Config
@@ -19,28 +20,26 @@ from ms_highway.runtime.arrays import State
 from ms_highway.runtime.process import refuse_after_fork
 from ms_highway.vehicle import states_of
 
-ROAD_BEHIND, ROAD_AHEAD = -100.0, 300.0  # m, ends of the drawn road
-
 compiled_features = jax.jit(features)
 
 
 def straight_road(game: Game) -> RoadNetwork:
-    """Build highway-env's road network of a game's lanes, with the robot's speed limit."""
+    """Build the road network of a game's lanes, with the robot's speed limit."""
     network = RoadNetwork()
     lanes = np.asarray(game.scene.lanes, dtype=float)
     width = float(game.scene.lane_width)
     limit = float(game.robot.speed_limit)
+
+    # The ends of the drawn road [m].
+    behind = -100.0
+    ahead = 300.0
     for y in lanes:
         lines = [
             LineType.CONTINUOUS_LINE if y == edge else LineType.STRIPED
             for edge in (lanes[0], lanes[-1])
         ]
         lane = StraightLane(
-            [ROAD_BEHIND, y],
-            [ROAD_AHEAD, y],
-            width=width,
-            line_types=lines,
-            speed_limit=limit,
+            [behind, y], [ahead, y], width=width, line_types=lines, speed_limit=limit
         )
         network.add_lane("start", "end", lane)
     return network
@@ -67,12 +66,12 @@ class GameEnv(ConfiguredEnv):
 
     game: Game
 
-    def _place(self, cars: list[Any]) -> None:
+    def _place(self, cars: Sequence[Vehicle]) -> None:
         """Put cars on the road; actions drive the first one."""
         for car in cars:
             car.solid = False  # a collision is noticed, but has no effect
-        self.road.vehicles = cars
-        self.controlled_vehicles = cars[:1]
+        self.road.vehicles = list(cars)
+        self.controlled_vehicles = list(cars[:1])
         self.collision = False
         self._bodies_collide = self.game.scene.bodies_collide
         self._terms = dict.fromkeys(self.game.robot.names, 0.0)
@@ -89,7 +88,7 @@ class GameEnv(ConfiguredEnv):
         """Number of steps of an episode that nothing ends early."""
         return round(self.config["duration"] * self.config["policy_frequency"])
 
-    def _simulate(self, action: Any = None) -> None:
+    def _simulate(self, action: object = None) -> None:
         """Let all cars act and move, then evaluate the new state of car 0."""
         refuse_after_fork()
         for car in self.road.vehicles:
@@ -97,22 +96,20 @@ class GameEnv(ConfiguredEnv):
         super()._simulate(action)
         robot = self.game.robot
         states = self.car_states
-        phi = np.asarray(
-            compiled_features(self.game.scene, robot, states.astype(np.float32))
-        )
+        scene = self.game.scene
+        phi = np.asarray(compiled_features(scene, robot, states.astype(np.float32)))
         if robot.own and not np.isfinite(phi).all():
-            check_own_features(self.game.scene, robot, 0, states, gradients=False)
-        self._terms = dict(
-            zip(robot.names, (phi * np.asarray(robot.weights)).tolist(), strict=True)
-        )
+            check_own_features(scene, robot, 0, states, gradients=False)
+        terms = (phi * np.asarray(robot.weights)).tolist()
+        self._terms = dict(zip(robot.names, terms, strict=True))
         self.collision = bool(phi[robot.names.index("collision")])
 
     @not_simulated
-    def _reward(self, action: Any) -> float:
+    def _reward(self, action: object) -> float:
         return sum(self._terms.values())
 
     @not_simulated
-    def _rewards(self, action: Any) -> dict[str, float]:
+    def _rewards(self, action: object) -> dict[str, float]:
         return dict(self._terms)
 
     @not_simulated
@@ -123,20 +120,11 @@ class GameEnv(ConfiguredEnv):
     def _is_terminated(self) -> bool:
         return bool(self.config.get("terminate_on_collision") and self.collision)
 
-    def _info(self, obs: Any, action: Any = None) -> Config:
+    def _info(self, obs: object, action: object = None) -> Config:
         """Describe the last step; after a reset, the reward and its terms are 0."""
         # The paper's indicator misses overlaps of bodies that highway-env notices.
         crashed = self.collision if self._bodies_collide else bool(self.vehicle.hit)
 
-        # The action with the type of those in the action space; NaN or -1 where none is
-        # given. highway-env draws one for a reset.
-        given = action if self.steps else None
-        space = self.action_space
-        if not isinstance(space, spaces.Tuple):
-            missing = np.nan if isinstance(space, spaces.Box) else -1
-            given = np.asarray(
-                np.full(space.shape, missing) if given is None else given, space.dtype
-            )[()]
         info: GameInfo = {
             "speed": float(self.vehicle.speed),
             "collision_effect": "reward only",
@@ -145,7 +133,21 @@ class GameEnv(ConfiguredEnv):
             "control": {
                 name: float(value) for name, value in self.vehicle.action.items()
             },
-            "action": given,
+            "action": self._given_action(action),
             "rewards": self._rewards(action),
         }
         return dict(info)
+
+    def _given_action(self, action: object) -> object:
+        """Return an action with the type of those in the action space; NaN or -1 where
+        none is given.
+        """
+        # highway-env draws one for a reset.
+        given = action if self.steps else None
+        space = self.action_space
+        if isinstance(space, spaces.Tuple):
+            return given
+        if given is None:
+            missing = np.nan if isinstance(space, spaces.Box) else -1
+            given = np.full(space.shape or (), missing)
+        return np.asarray(given, space.dtype)[()]

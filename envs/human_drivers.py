@@ -9,7 +9,6 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from jaxtyping import Int
 
-from ms_highway.envs.controllers import KEYBOARD
 from ms_highway.envs.keyboard import Keyboard
 from ms_highway.game.game import Game
 from ms_highway.game.starts import Random
@@ -45,7 +44,7 @@ def draw_drivers(
     # The only name drives all of them, but the keyboard the first one alone; without a
     # name, they plan.
     only = HUMAN_PLANS + len(names)
-    plans = (np.arange(humans) > 0) & (names == (KEYBOARD,))
+    plans = (np.arange(humans) > 0) & (names == (Keyboard.name,))
     return np.where(plans, HUMAN_PLANS, only)
 
 

@@ -53,12 +53,14 @@ class Keyboard:
     in it.
 
     Attributes:
+        name: of this human driver in configurations.
         acceleration: while a key is pressed [m/s^2].
         heading: while a key is pressed [rad]; without one, the car returns to the
             direction of the road.
         heading_rate: at which the heading changes at most [rad/s].
     """
 
+    name = "keyboard"
     acceleration = 4.0
     heading = 0.1
     heading_rate = 0.4

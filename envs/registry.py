@@ -2,21 +2,26 @@
 add rules of one's own.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from functools import partial
 from os import PathLike
-from typing import Any
 
 from ms_highway.choice.budget import Budget
 from ms_highway.choice.choosers import Nearest, Price, PriceTogether
 from ms_highway.choice.learned_value import LearnedValue
 from ms_highway.choice.quadratic import Quadratic
-from ms_highway.choice.rule import DERIVE, Chooser, Estimator, Part, Priced
-from ms_highway.envs.agents import AGENTS, AddedAgent, agent_config, is_agent
-from ms_highway.envs.configuration import Config, refuse_unknown
+from ms_highway.choice.rule import (
+    DERIVE,
+    Chooser,
+    Estimator,
+    GameEvidence,
+    Part,
+    Priced,
+)
+from ms_highway.envs.agents import AGENTS, AddedAgent, Agent, agent_config, is_agent
+from ms_highway.envs.configuration import Changes, Config, refuse_unknown
 from ms_highway.envs.controllers import (
-    COMMON,
-    LAMBDA,
+    COMMON_KEYS,
     PLACE,
     ControllerSettings,
     DrivenByAgent,
@@ -41,31 +46,6 @@ from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import PACKAGE_NAMES, check_own_name, keep_apart
 
-BELIEF = "+belief"
-EXAMPLES = (
-    "learned:0.1, budget:20, nearest:2, schedule:tom=6,naive, random:naive=0.7,tom=0.3"
-)
-
-RETIRED = {
-    "period": (
-        "write the steps as schedule:MODEL=STEPS,..., or draw them as"
-        " random:MODEL=SHARE,..."
-    ),
-}
-"""What to use instead of types of controllers that are gone since 3.0.0."""
-
-RETIRED_VALUES = {
-    "one_step": "leave it out, to have the gains of learned values",
-}
-"""What to use instead of ``values`` of a budget that are gone since 3.0.0."""
-
-SHORT_NAMES: dict[str, Callable[[str], Config]] = {
-    "agent": lambda text: {"name": text},  # the path of a file may have colons
-    "schedule": schedule_of,
-    "random": shares_of,
-}
-"""How the text behind a type is read, if it is not the first key and ``values``."""
-
 CONTROLLERS: dict[str, Pair] = {
     "switching": Pair(Price, Quadratic),
     "horizon": Pair(Price, partial(Quadratic, steps=None)),
@@ -83,7 +63,9 @@ CONTROLLERS: dict[str, Pair] = {
 keep_apart("a rule", lambda: CONTROLLERS)
 
 
-def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) -> None:
+def add_rule(
+    part: type[Part], estimator: type[Estimator[GameEvidence]] | None = None
+) -> None:
     """Add a decision rule of one's own by its name, for configurations and commands of
     this process.
 
@@ -116,7 +98,7 @@ def add_rule(part: type[Part], estimator: type[Estimator[Any]] | None = None) ->
     note_definition(name, part)
 
 
-def _pair_of(part: type[Part], estimator: type[Estimator[Any]] | None) -> Pair:
+def _pair_of(part: type[Part], estimator: type[Estimator[GameEvidence]] | None) -> Pair:
     """Return the pair of a user's chooser or estimator.
 
     Raises:
@@ -147,31 +129,29 @@ def _check_fields(chooser: type[Part], estimator: type[Part] | None) -> None:
     """
     # A price is lambda, of choosers that derive from `Priced`.
     own = keys_of(chooser)
-    if LAMBDA in own and not issubclass(chooser, Priced):
+    if "lambda" in own and not issubclass(chooser, Priced):
         message = f"{chooser.__name__} has the field 'price', which is lambda"
         raise ValueError(
             f"{message}; derive it from ms_highway.Priced, or rename the field"
         )
     others = {} if estimator is None else keys_of(estimator)
-    if estimator is not None and LAMBDA in others:
+    if estimator is not None and "lambda" in others:
         message = f"{estimator.__name__} has the field 'price', which is the chooser's"
         raise ValueError(f"{message} lambda; rename the field")
 
     # All other keys mean one thing.
     for part, keys in ((chooser, own), (estimator, others)):
-        if part is not None and (common := [key for key in COMMON if key in keys]):
-            message = (
-                f"{part.__name__} has the field {common[0]!r}, a key of all controllers"
-            )
-            raise ValueError(f"{message}; rename the field")
-    if estimator is not None and (shared := [key for key in own if key in others]):
-        message = (
-            f"{chooser.__name__} and {estimator.__name__} have a field {shared[0]!r}"
-        )
-        raise ValueError(f"{message} each; rename one of them")
+        common = [key for key in COMMON_KEYS if key in keys]
+        if part is not None and common:
+            message = f"{part.__name__} has the field {common[0]!r}"
+            raise ValueError(f"{message}, a key of all controllers; rename the field")
+    shared = [key for key in own if key in others]
+    if estimator is not None and shared:
+        names = f"{chooser.__name__} and {estimator.__name__}"
+        raise ValueError(f"{names} have a field {shared[0]!r} each; rename one of them")
 
 
-def _estimates(part: Any) -> bool:
+def _estimates(part: object) -> bool:
     """Return whether something is the class of an estimator."""
     return (
         isinstance(part, type)
@@ -180,12 +160,14 @@ def _estimates(part: Any) -> bool:
     )
 
 
-def _named(part: Any) -> str:
-    """Return the name of a class; anything else as it is written."""
+def _named(part: object) -> str:
+    """Return the name of a class, and anything else as it is written."""
     return part.__name__ if isinstance(part, type) else repr(part)
 
 
-def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) -> None:
+def add_agent(
+    name: str, agent: Agent | str | PathLike[str], config: Changes | None = None
+) -> None:
     """Add an agent or a planner by a name, for ``compare``, ``video`` and ``bench
     road`` of this process.
 
@@ -207,11 +189,8 @@ def add_agent(name: str, agent: Any, config: Mapping[str, Any] | None = None) ->
         TypeError: if it is no agent.
     """
     check_own_name("an agent", name)
-    if not (
-        callable(agent)
-        or hasattr(agent, "predict")
-        or isinstance(agent, (str, PathLike))
-    ):
+    is_file = isinstance(agent, (str, PathLike))
+    if not (is_file or callable(agent) or hasattr(agent, "predict")):
         remedy = (
             "give a function of the observation, an object with `predict`, or a file of"
             " stable-baselines3"
@@ -316,7 +295,7 @@ def robot_config(name: str) -> Config:
     return agent_config(name) if config["type"] == "agent" else {"controller": config}
 
 
-def controller_settings(config: Any) -> ControllerSettings:
+def controller_settings(config: object) -> ControllerSettings:
     """Return the `ControllerSettings` of a controller's configuration or short name.
 
     Raises:
@@ -325,35 +304,34 @@ def controller_settings(config: Any) -> ControllerSettings:
     if isinstance(config, str):
         config = controller_config(config)
     kind = config.get("type") if isinstance(config, Mapping) else None
-    if kind not in list(CONTROLLERS):
-        gone = _retired(kind, RETIRED)
-        raise ValueError(
-            gone
-            or f"{PLACE} is {config!r}; its 'type' must be one of {', '.join(CONTROLLERS)}"
-        )
+    if not isinstance(config, Mapping) or kind not in list(CONTROLLERS):
+        _refuse_retired(kind)
+        types = ", ".join(CONTROLLERS)
+        raise ValueError(f"{PLACE} is {config!r}; its 'type' must be one of {types}")
     return _read(kind, config)
 
 
-def _read(
-    kind: str, config: Mapping[str, Any], strict: bool = True
-) -> ControllerSettings:
+def _read(kind: str, config: Changes, strict: bool = True) -> ControllerSettings:
     """Read the configuration of a controller of a known type, see `Pair.read`."""
-    if kind == "budget" and (gone := _retired(config.get("values"), RETIRED_VALUES)):
-        raise ValueError(gone)
+    if kind == "budget" and config.get("values") == "one_step":
+        raise ValueError(
+            "one_step is gone since 3.0.0: leave it out, to have the gains of learned"
+            " values"
+        )
     return CONTROLLERS[kind].read(kind, config, strict)
 
 
-def _retired(name: object, remedies: Mapping[str, str]) -> str:
-    """Return a sentence that says what to use instead, if a name is retired, or an
-    empty text.
+def _refuse_retired(kind: object) -> None:
+    """Say what to use instead of a type of controllers that is retired.
 
-    Args:
-        name: in a configuration.
-        remedies: what to use instead, by retired name.
+    Raises:
+        ValueError: for such a type.
     """
-    if isinstance(name, str) and name in remedies:
-        return f"{name} is gone since 3.0.0: {remedies[name]}"
-    return ""
+    if kind == "period":
+        raise ValueError(
+            "period is gone since 3.0.0: write the steps as schedule:MODEL=STEPS,...,"
+            " or draw them as random:MODEL=SHARE,..."
+        )
 
 
 def controller_config(text: str) -> Config:
@@ -377,7 +355,7 @@ def controller_config(text: str) -> Config:
     Raises:
         ValueError: if it stands for none.
     """
-    name = text.removesuffix(BELIEF)
+    name = text.removesuffix("+belief")
     kind, _, rest = name.partition(":")
     if is_model(name):
         kind = "fixed"
@@ -389,16 +367,16 @@ def controller_config(text: str) -> Config:
         kind = "agent"
         rest = name
     if kind not in CONTROLLERS:
-        known = (
-            f"name a model ({model_names()}), or one like {EXAMPLES}; the types are"
-            f" {', '.join(CONTROLLERS)}"
+        _refuse_retired(kind)
+        raise ValueError(
+            f"unknown controller {text!r}; name a model ({model_names()}), or one like"
+            " learned:0.1, budget:20, nearest:2, schedule:tom=6,naive,"
+            " random:naive=0.7,tom=0.3; the types are"
+            f" {', '.join(CONTROLLERS)}; --import the module that adds your own"
         )
-        unknown = (
-            f"unknown controller {text!r}; {known}; --import the module that adds"
-            " your own"
-        )
-        raise ValueError(_retired(kind, RETIRED) or unknown)
-    config = _short_config(kind, rest) | ({"belief": True} if name != text else {})
+    config = _short_config(kind, rest)
+    if name != text:
+        config["belief"] = True
     try:
         return _read(kind, config, strict=False).config()
     except ValueError as error:
@@ -407,10 +385,14 @@ def controller_config(text: str) -> Config:
 
 def _short_config(kind: str, text: str) -> Config:
     """Return the configuration that the part of a short name behind its type stands
-    for.
+    for: the value of the first key, and ``values``, if nothing else is said.
     """
-    if kind in SHORT_NAMES:
-        return SHORT_NAMES[kind](text)
+    if kind == "agent":
+        return {"name": text}  # the path of a file may have colons
+    if kind == "schedule":
+        return schedule_of(text)
+    if kind == "random":
+        return shares_of(text)
     first = list(CONTROLLERS[kind].keys())[:1]
-    given = dict(zip([*first, "values"], text.split(":", 1), strict=False))
-    return {name: value for name, value in given.items() if value}
+    values = zip([*first, "values"], text.split(":", 1), strict=False)
+    return {name: value for name, value in values if value}

@@ -14,7 +14,8 @@ from ms_highway.choice.rule import Start
 from ms_highway.choice.shipped import PUBLISHED_COSTS, SHIPPED_COSTS, shipped_kind
 from ms_highway.data.learned_reward import shipped
 from ms_highway.envs.configuration import refuse_unknown
-from ms_highway.envs.controllers import KEYBOARD, ControllerSettings
+from ms_highway.envs.controllers import ControllerSettings
+from ms_highway.envs.keyboard import Keyboard
 from ms_highway.envs.registry import controller_settings
 from ms_highway.game.game import Game
 from ms_highway.game.reward import weight_names
@@ -222,8 +223,8 @@ class Settings(Struct, frozen=True):
     step_size: Annotated[
         Positive | None, Meta(description="it must be a positive number, or None")
     ]
-    """Length of a gradient step per unit of gradient; None for what suits the horizon; a
-    longer one gives a warning. See `ms_highway.numerics.solvers.PlanningSettings`.
+    """Length of a gradient step per unit of gradient; None for what suits the horizon;
+    a longer one gives a warning. See `ms_highway.numerics.solvers.PlanningSettings`.
     """
 
     duration: Positive
@@ -254,7 +255,7 @@ class Settings(Struct, frozen=True):
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
         if self.human_driver is not None:
             known = [
-                name for name in (*HUMAN_DRIVERS, KEYBOARD) if name not in YIELDING
+                name for name in (*HUMAN_DRIVERS, Keyboard.name) if name not in YIELDING
             ]
             if self.human_driver not in known:
                 remedy = (
@@ -387,7 +388,7 @@ class Settings(Struct, frozen=True):
 
     @property
     def planning(self) -> PlanningSettings:
-        """Horizon, time step and gradient steps of the robot's and the humans' plans."""
+        """Horizon, time step and gradient steps of the plans of robot and humans."""
         return PlanningSettings(
             self.horizon, self.time_step, self.iterations, self.step_size
         )

@@ -1,4 +1,4 @@
-"""Step thousands of environments at once in JAX, as a vector environment of Gymnasium."""
+"""Step thousands of environments at once in JAX, as Gymnasium's vector environments."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

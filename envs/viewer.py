@@ -92,8 +92,9 @@ class Viewer(EnvViewer):
         self.enabled = True  # as in `PictureViewer`
 
     def _make_surface(self) -> None:
-        """Make the surface without `pygame.display`, which may fail without a screen and
-        which surfaces do not need.
+        """Make the surface without `pygame.display`.
+
+        That may fail without a screen, and surfaces do not need it.
         """
         pygame.font.init()  # for labels
         size = self.config["screen_width"], self.config["screen_height"]

@@ -89,6 +89,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
     """
 
     settings_type = RecordedSettings
+    settings: RecordedSettings
     types: ClassVar[Types] = {
         "action": {
             "DiscreteMetaAction": keys_of(DiscreteMetaAction),

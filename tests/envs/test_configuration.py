@@ -32,13 +32,13 @@ from ms_highway.envs import (
 )
 from ms_highway.envs.agents import AGENTS, AddedAgent
 from ms_highway.envs.controllers import (
-    KEYBOARD,
     DrivenByAgent,
     DrivenByFunction,
     Fixed,
     RandomModels,
     Schedule,
 )
+from ms_highway.envs.keyboard import Keyboard
 from ms_highway.envs.registry import add_rule, controller_config, controller_settings
 from ms_highway.envs.settings import YIELDING
 from ms_highway.envs.simulation import (
@@ -775,7 +775,7 @@ def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(wh
         *HUMAN_DRIVERS,
         *AGENTS,
         BEST,
-        KEYBOARD,
+        Keyboard.name,
         *YIELDING,
     } <= {*taken}
     for name in taken:
