@@ -1,6 +1,6 @@
-"""Simulate the episodes of a comparison in batches, with the same starts and records as
-in the environments.
+"""Simulate the episodes of a comparison in batches.
 
+Starts and records are the same as in the environments.
 `ms_highway.experiments.runner` runs the same `Comparison` in the environments. Nothing
 is measured here, so no plan is late. A budget counts the given seconds for planning,
 and none for deciding.
@@ -9,7 +9,7 @@ and none for deciding.
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import jax
 import numpy as np
@@ -27,7 +27,6 @@ from ms_highway.envs.registry import controller_settings
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.simulation import draw_start, shared_loop, stack_episodes
 from ms_highway.experiments.comparison import (
-    COUNTED,
     KEYS,
     MEASURED,
     Comparison,
@@ -70,8 +69,9 @@ class Batch:
 
     @property
     def models(self) -> list[str]:
-        """Names of the models, in the order of their numbers: the ladder's, then those
-        that only orders use.
+        """Names of the models, in the order of their numbers.
+
+        They are those of the ladder, then those that only orders use.
         """
         return [model.name for model in self.loop.models]
 
@@ -96,34 +96,41 @@ class Batch:
         return [*product(controllers, self.comparison.seed_range)]
 
     def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
-        """Simulate episodes; those whose controllers differ only in lambda are
-        simulated together.
+        """Simulate episodes, together if their controllers differ only in lambda.
 
         Args:
             keys: the episodes.
             devices: see `ms_highway.loop.batch.simulate`.
         """
-        alike: dict[Any, list[int]] = {}
+        # Group the places of the episodes by what their controllers have in common.
+        # Orders differ only in their schedules, which are inputs of the simulation.
+        groups: dict[tuple[ControllerSettings | None, bool], list[int]] = {}
         for place, (name, _) in enumerate(keys):
             settings = self.settings(name)
-            free = settings.without_price() if settings.chooses else None
-            alike.setdefault((free, settings.belief), []).append(place)
+            rule = settings.without_price() if settings.chooses else None
+            groups.setdefault((rule, settings.belief), []).append(place)
+
         parts = []
-        for places in alike.values():
+        for places in groups.values():
             own = [keys[place] for place in places]
-            parts.append(simulate(self.loop_of(own[0][0]), self.episodes(own), devices))
-        order = np.argsort(np.concatenate(list(alike.values())))
+            loop = self.loop_of(own[0][0])
+            parts.append(simulate(loop, self.episodes(own), devices))
+
+        # Return to the order of the keys.
+        order = np.argsort(np.concatenate(list(groups.values())))
         return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
-        """Return the settings of a controller of the comparison, or of any order of its
-        models, by short name.
+        """Return the settings of a controller, by short name.
+
+        It is a controller of the comparison, or any order of its models.
         """
         return self.controllers.get(controller) or controller_settings(controller)
 
     def loop_of(self, controller: str) -> Loop:
-        """Return the loop of the episodes of a controller, whose rule decides if it
-        chooses models from the ladder.
+        """Return the loop of the episodes of a controller.
+
+        Its rule is the controller's, if this chooses models from the ladder.
 
         Raises:
             ValueError: if its values were learned on another ladder, or JAX cannot
@@ -139,69 +146,71 @@ class Batch:
         return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
-        """Return the inputs of the simulation for these episodes, drawn as at a reset
-        of the environment.
-        """
+        """Return the inputs of episodes, drawn as at a reset of the environment."""
         drawn = []
         for name, seed in keys:
-            random = seeding.np_random(seed)[0]
-            drawn.append(
-                draw_start(self.environment, self.loop, self.settings(name), random)
-            )
+            random, _ = seeding.np_random(seed)
+            settings = self.settings(name)
+            drawn.append(draw_start(self.environment, self.loop, settings, random))
         return stack_episodes(drawn)
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
-        """Return a row per step, with the comparison's columns except measured times."""
+        """Return a row per step, with all columns except those of measured times."""
         names, seeds = zip(*keys, strict=True)
+        states = np.asarray(records.states, float)  # [episodes, steps, cars, 4]
+
+        # The most expensive model in use among the humans of a step.
         known = cheapest_first(self.models)
         ranks = np.array([known.index(name) for name in self.models])
-        states = np.asarray(records.states, float)
+        dearest = np.array(known)[ranks[records.rungs].max(axis=2)]
+
+        # Gains by model, each [episodes, steps].
         gains = highest_gains(np.asarray(records.gains))
+        gain_by_rung = dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True))
+
+        # Whether the robot has succeeded so far.
         arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
+        collided_before = np.logical_or.accumulate(records.collision, axis=1)
+
+        # Cells that are the same in an episode or in a step are broadcast below.
         cells = {
             "scenario": self.environment.scenario.name,
             "controller": np.array(names, object)[:, None],
             "seed": np.array(seeds)[:, None],
             "step": np.arange(self.steps),
-            "model": np.array(known)[ranks[records.rungs].max(axis=2)],
+            "model": dearest,
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
-            COUNTED: self.costs.total(records.planned),
+            "counted_seconds": self.costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
-            **by_column(
-                dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True)), states
-            ),
-            **{
-                f"humans_{name}": np.sum(records.rungs == rung, axis=2)
-                for rung, name in enumerate(self.rungs)
-            },
-            "success": arrived & ~np.logical_or.accumulate(records.collision, axis=1),
+            "success": arrived & ~collided_before,
+            **by_column(gain_by_rung, states),
         }
-        columns = [name for name in self.comparison.columns() if name not in MEASURED]
-        shape = records.reward.shape
-        return pd.DataFrame(
-            {
-                name: np.broadcast_to(cells.get(name, np.nan), shape).ravel()
-                for name in columns
-            }
-        )
+        for rung, name in enumerate(self.rungs):
+            cells[f"humans_{name}"] = np.sum(records.rungs == rung, axis=2)
+
+        table = {}
+        for name in self.comparison.columns():
+            if name not in MEASURED:
+                cell = np.broadcast_to(cells.get(name, np.nan), records.reward.shape)
+                table[name] = cell.ravel()
+        return pd.DataFrame(table)
 
     def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
-        """Simulate episodes; return ``steps``, a row per step, and ``episodes``, a row
-        per episode.
+        """Simulate episodes; return the tables ``steps`` and ``episodes``.
 
-        Steps have the columns of `Comparison.columns` without measured times. Episodes
-        have those of `per_episode`, and ``price``, the lambda of their controller,
-        empty if it has none.
+        They have a row per step and a row per episode. Steps have the columns of
+        `Comparison.columns` without measured times. Episodes have those of
+        `per_episode`, and ``price``, the lambda of their controller, empty if it has
+        none.
 
         Raises:
             ValueError: for a reward that is not finite.
         """
         steps = self.steps_table(keys, self.simulate(keys, devices))
         episodes = per_episode(steps, self.models)
-        prices = {
-            name: self.settings(name).price for name in episodes["controller"].unique()
-        }
+        names = episodes["controller"].unique()
+        prices = {name: self.settings(name).price for name in names}
         episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
         check_table(episodes)
         return {"steps": steps, "episodes": episodes}
@@ -229,19 +238,19 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
     configs = [comparison.environment_config(scenario, name) for name in names]
     settings = [read_own(Settings, config) for config in configs]
     if configs[0]["terminate_on_collision"]:
-        reason = (
+        raise ValueError(
             f"{scenario} is configured with terminate_on_collision True, which a"
-            " simulation does not do"
+            " simulation does not do; use `compare`"
         )
-        raise ValueError(f"{reason}; use `compare`")
     environment = ENVIRONMENTS[scenario](dict(configs[0]))
     controllers = {
-        name: one.controller for name, one in zip(names, settings, strict=True)
+        name: own.controller for name, own in zip(names, settings, strict=True)
     }
     loop = shared_loop(environment, controllers.values())
     known = environment.settings.costs_of(loop.models)
     costs = known.select(model.name for model in loop.models)
     batch = Batch(comparison, environment, controllers, costs, loop)
+    # Refuse now what could not be simulated later.
     for name in names:
         batch.loop_of(name)
     return batch
@@ -250,8 +259,7 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 def simulate_parts(
     comparison: Comparison, parts: Mapping[str, range], devices: Devices | None = None
 ) -> Iterator[tuple[str, Tables]]:
-    """Simulate parts of a comparison, one after the other; yield the name and
-    `Batch.tables` of each.
+    """Simulate parts of a comparison one by one; yield their names and `Batch.tables`.
 
     Args:
         comparison: of a single scenario.
@@ -265,16 +273,15 @@ def simulate_parts(
 
 
 def simulated(comparison: Comparison) -> pd.DataFrame:
-    """Simulate a comparison and return all records, a row per step, in the comparison's
-    order.
+    """Simulate a comparison; return all records, a row per step, in its order.
 
     Raises:
         ValueError: see `make_batch`.
     """
+    # Refuse what cannot be simulated before anything is computed.
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
-    tables = [
-        batch.steps_table(keys, batch.simulate(keys))
-        for batch in batches
-        for keys in [batch.keys()]
-    ]
+    tables = []
+    for batch in batches:
+        keys = batch.keys()
+        tables.append(batch.steps_table(keys, batch.simulate(keys)))
     return pd.concat(tables, ignore_index=True)

@@ -1,15 +1,13 @@
-"""Compute the parts of a sweep on a cluster of dask.distributed: workers return rows,
-and this process writes them.
+"""Compute the parts of a sweep on a cluster of dask.distributed.
 
-A part whose worker is lost is computed again on another one. Workers need no disk in
-common with this process, but the same versions of packages, on which the last digits
-depend.
+Workers return rows, and this process writes them. A part whose worker is lost is
+computed again on another one. Workers need no disk in common with this process, but the
+same versions of packages, on which the last digits depend.
 """
 
 import logging
 import os
 import sys
-from collections import ChainMap
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
@@ -29,11 +27,6 @@ from ms_highway.runtime.definitions import source_now
 from ms_highway.runtime.jax_settings import keep_compilations
 from ms_highway.runtime.process import jax_has_begun
 from ms_highway.runtime.sources import Sources, import_modules
-
-PATIENCE = 10  # s, within which a scheduler has to answer
-AHEAD = (
-    2  # parts that are submitted per thread of a worker; more would only wait in memory
-)
 
 
 class Setup(distributed.WorkerPlugin):
@@ -90,8 +83,7 @@ class Setup(distributed.WorkerPlugin):
 def connected(
     address: str, comparison: Comparison, modules: Sequence[str] = ()
 ) -> Iterator[Compute]:
-    """Connect to a scheduler and set up its workers; yield the function that computes
-    there.
+    """Connect to a scheduler, set up its workers, and yield what computes there.
 
     Args:
         address: address of the scheduler, such as ``tcp://host:8786``.
@@ -103,12 +95,12 @@ def connected(
         ValueError: if there is no scheduler, or a worker has other versions or cannot
             be set up.
     """
-    logging.getLogger("distributed.client").setLevel(
-        logging.CRITICAL
-    )  # its errors are raised as well
+    # The client's errors are raised as well.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     try:
         get_address_host_port(address, strict=True)
-        client = distributed.Client(address, timeout=PATIENCE, set_as_default=False)
+        # A scheduler has to answer within 10 s.
+        client = distributed.Client(address, timeout=10, set_as_default=False)
     except (OSError, ValueError) as error:
         remedy = (
             "start it with `dask scheduler` and give its address, such as"
@@ -125,22 +117,23 @@ def connected(
                 file=sys.stderr,
             )
             client.wait_for_workers(1)
-        controllers = [
-            each
-            for scenario in comparison.sources().values()
-            for each in scenario.values()
-        ]
-        client.register_plugin(Setup(modules, dict(ChainMap(*controllers))))
+        sources: Sources = {}
+        for controllers in comparison.sources().values():
+            for own in controllers.values():
+                sources = {**own, **sources}
+        client.register_plugin(Setup(modules, sources))
         yield partial(_compute, client, address)
 
 
 def _versions() -> list[str]:
+    """Return the packages that may change results, with their versions."""
     return [f"{package} {version(package)}" for package in PACKAGES]
 
 
 def _compute_there(
     comparison: Comparison, name: str, part: range
 ) -> tuple[str, Tables]:
+    """Simulate one part, in the process of a worker."""
     return next(simulate_parts(comparison, {name: part}))
 
 
@@ -150,8 +143,7 @@ def _compute(
     comparison: Comparison,
     parts: Mapping[str, range],
 ) -> Iterator[tuple[str, Tables]]:
-    """Submit parts, `AHEAD` for each thread of a worker at a time; yield each with its
-    tables when it is done.
+    """Submit parts to the workers; yield each with its tables when it is done.
 
     Raises:
         ValueError: if workers die again and again, or the scheduler is lost.
@@ -164,7 +156,9 @@ def _compute(
         for name, part in islice(waiting, count):
             running.add(client.submit(compute, name, part, pure=False))
 
-    submit(AHEAD * max(sum(client.nthreads().values()), 1))
+    # Two parts per thread of a worker: more would only wait in memory.
+    threads = max(sum(client.nthreads().values()), 1)
+    submit(2 * threads)
     try:
         for done in running:
             submit(1)

@@ -1,31 +1,42 @@
-"""Define comparisons and the columns of their records of steps; check records, and
-summarise them by episode.
-"""
+"""Define comparisons and their records of steps; check and summarise records."""
 
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain, product
+from itertools import product
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
 from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.planning.ladders import known_models, rung_names
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.definitions import definition_sources
 from ms_highway.runtime.sources import Sources, digest, imported_sources
 
 EpisodeKey: TypeAlias = tuple[str, str, int]
 """An episode: its scenario, the short name of its controller, and its seed."""
 
-USUAL = ("semantics", "solver", "human_reward", "costs")
-"""Keys of the configuration that results always record, unless the scenarios' defaults
-differ.
-"""
+KEYS = ["scenario", "controller", "seed"]
+"""Columns that identify the episode of a step."""
+
+MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
+"""Columns of measured times, which simulations do not have."""
+
+REQUIRED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
+"""Columns that records of live steps must have, without empty cells."""
+
+STATES = [
+    f"{car}_{name}"
+    for car in ("robot", "human")
+    for name in ("x", "y", "heading", "speed")
+]
+"""Columns of the states of the first two cars."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +49,14 @@ class Comparison:
         first_seed: seed of the first episode; the others have the following seeds.
         config: values that differ from the environments' default configuration, by key.
     """
+
+    always_recorded: ClassVar[tuple[str, ...]] = (
+        "semantics",
+        "solver",
+        "human_reward",
+        "costs",
+    )
+    """Keys that results record unless the scenarios have different defaults."""
 
     controllers: Mapping[str, Sequence[str]]
     seeds: int = 30
@@ -71,66 +90,54 @@ class Comparison:
             yield from product([scenario], controllers, self.seed_range)
 
     def environment_config(self, scenario: str, controller: str) -> dict:
-        """Return the whole configuration of the environment of a scenario and a
-        controller.
+        """Return the whole configuration of a scenario's environment.
 
         Raises:
             ValueError: for the same reasons as `Comparison`.
         """
-        return ENVIRONMENTS[scenario_name(scenario)].checked_config(
-            {**self.config, **robot_config(controller)}
-        )
+        environment = ENVIRONMENTS[scenario_name(scenario)]
+        return environment.checked_config({**self.config, **robot_config(controller)})
 
     def common_config(self) -> dict:
-        """Return the common configuration, under which results are resumed: `USUAL` and
-        all keys of ``config``.
+        """Return the common configuration, under which results are resumed.
+
+        It has the keys `always_recorded` and all keys of ``config``.
         """
-        defaults = [
-            {**ENVIRONMENTS[name].default_config(), **self.config}
-            for name in self.controllers
-        ]
-        for config in defaults:
+        configs = []
+        for name in self.controllers:
+            config = {**ENVIRONMENTS[name].default_config(), **self.config}
             config["human_reward"] = (
                 config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
             )
-        first = defaults[0]
-        usual = {
+            configs.append(config)
+        first = configs[0]
+        common = {
             key: first[key]
-            for key in USUAL
-            if all(first[key] == each[key] for each in defaults)
+            for key in self.always_recorded
+            if all(first[key] == config[key] for config in configs)
         }
-        ladder = (
-            {"ladder": rung_names(self.config["ladder"])}
-            if "ladder" in self.config
-            else {}
-        )
-        return {**usual, **self.config, **ladder}
+        common |= self.config
+        if "ladder" in self.config:
+            common["ladder"] = rung_names(self.config["ladder"])
+        return common
 
     def sources(self) -> dict[str, dict[str, Sources]]:
-        """Return the digests of what the user has imported and named, by scenario and
-        controller.
+        """Return digests of what the user named and imported.
 
-        Each controller depends on all imported modules, as scenarios, drivers and
-        features may come from them; on what was added by names that its configuration
-        or the scenario has; and on its own files.
+        They are by scenario and controller. Each controller depends on all imported
+        modules, as scenarios, drivers and features may come from them; on what was
+        added by names that its configuration or the scenario has; and on its own files.
         """
         found: dict[str, dict[str, Sources]] = {}
         for name, controllers in self.controllers.items():
             scenario = ENVIRONMENTS[name].scenario
             weights = [*scenario.robot_weights, *scenario.human_weights]
+            config = json.dumps(self.config, default=str)
             for controller in controllers:
-                named = [
-                    name,
-                    controller,
-                    *scenario.ladder,
-                    *weights,
-                    json.dumps(self.config, default=str),
-                ]
-                files = {
-                    file: digest(Path(file))
-                    for file in controller_settings(controller).files()
-                }
-                own = imported_sources() | definition_sources(" ".join(named)) | files
+                named = " ".join([name, controller, *scenario.ladder, *weights, config])
+                files = controller_settings(controller).files()
+                digests = {file: digest(Path(file)) for file in files}
+                own = imported_sources() | definition_sources(named) | digests
                 found.setdefault(name, {})[controller] = own
         return found
 
@@ -146,92 +153,66 @@ class Comparison:
         above the first predicts, and ``success`` whether the robot has succeeded so
         far.
         """
-        scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
-        ladders = [
-            rung_names(self.config.get("ladder", scenario.ladder))
-            for scenario in scenarios
-        ]
-        planning, decision, compiling = MEASURED
         steps = [
-            "step",
-            "model",
-            "reward",
-            "collision",
-            planning,
-            COUNTED,
-            decision,
-            compiling,
+            *("step", "model", "reward", "collision"),
+            *("planning_seconds", "counted_seconds"),
+            *("decision_seconds", "compile_seconds"),
             "status",
         ]
-        gains = [f"gain_{name}" for name in known_models(chain(*ladders))]
-        above = [
-            ladder[1:]
-            for scenario, ladder in zip(scenarios, ladders, strict=True)
-            if scenario.streams
-        ]
-        several = (
-            [*dict.fromkeys(f"humans_{name}" for name in chain(*above)), "success"]
-            if above
-            else []
-        )
-        return [*KEYS, *steps, *gains, *STATES, *several]
+        rungs: list[str] = []
+        counts: list[str] = []
+        scenarios = [ENVIRONMENTS[name].scenario for name in self.controllers]
+        for scenario in scenarios:
+            ladder = rung_names(self.config.get("ladder", scenario.ladder))
+            rungs.extend(ladder)
+            if scenario.streams:
+                counts.extend(f"humans_{name}" for name in ladder[1:])
+        gains = [f"gain_{name}" for name in known_models(rungs)]
+
+        columns = [*KEYS, *steps, *gains, *STATES]
+        if any(scenario.streams for scenario in scenarios):
+            columns += [*dict.fromkeys(counts), "success"]
+        return columns
 
 
 def paper_controllers(scenario: str) -> list[str]:
-    """Return the controllers that are compared by default: every rung, then switching
-    at both lambdas.
+    """Return the controllers that are compared by default.
+
+    They are every rung, then switching at both lambdas.
 
     Raises:
         ValueError: for an unknown scenario.
     """
     choice = ENVIRONMENTS[scenario_name(scenario)].scenario
-    return [
-        *rung_names(choice.ladder),
-        *(f"switching:{price:g}" for price in choice.prices),
-    ]
+    switching = [f"switching:{price:g}" for price in choice.prices]
+    return [*rung_names(choice.ladder), *switching]
 
 
-KEYS = ["scenario", "controller", "seed"]
-"""Columns that identify the episode of a step."""
+def by_column(
+    gains: Mapping[str, object], states: Float[Array, "*batch cars 4"]
+) -> dict[str, object]:
+    """Return the columns of records for gains by model and for states.
 
-MEASURED = ("planning_seconds", "decision_seconds", "compile_seconds")
-"""Columns of measured times, which simulations do not have."""
-
-COUNTED = "counted_seconds"
-NEEDED = [*KEYS, "step", "model", "status", "reward", "collision", *MEASURED[:2]]
-"""Columns that records of live steps must have, without empty cells."""
-
-TEXTS = ("scenario", "controller", "model", "status")
-FAILED = "previous plan", "braking"
-STATES = [
-    f"{car}_{name}"
-    for car in ("robot", "human")
-    for name in ("x", "y", "heading", "speed")
-]
-"""Columns of the states of the first two cars."""
-
-
-def by_column(gains: Mapping, states: Any) -> dict:
-    """Return the columns of records for gains by model and for the first two cars of
-    states [..., cars, 4].
+    Records have the states of the first two cars.
     """
-    first = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1)).reshape(
-        len(STATES), *np.shape(states)[:-2]
-    )
-    return {f"gain_{name}": gain for name, gain in gains.items()} | dict(
-        zip(STATES, first, strict=True)
-    )
+    # [fields of two cars, ...]
+    robot_and_human = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1))
+    fields = robot_and_human.reshape(len(STATES), *np.shape(states)[:-2])
+    columns = {f"gain_{name}": gain for name, gain in gains.items()}
+    return columns | dict(zip(STATES, fields, strict=True))
 
 
 def models_of(table: pd.DataFrame, what: str) -> list[str]:
-    """Return the known models that have a column ``WHAT_MODEL``, such as ``gain_tom``,
-    in a table, cheapest first.
+    """Return the known models that have a column in a table, cheapest first.
+
+    Args:
+        table: the table.
+        what: first part of the columns ``WHAT_MODEL``, such as ``gain`` of
+            ``gain_tom``.
     """
-    names = {
-        str(name).removeprefix(f"{what}_")
-        for name in table
-        if str(name).startswith(f"{what}_")
-    }
+    prefix = f"{what}_"
+    columns = [str(column) for column in table]
+    names = {name.removeprefix(prefix) for name in columns if name.startswith(prefix)}
     return [name for name in known_models(names) if name in names]
 
 
@@ -257,51 +238,54 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
         models: models whose shares are wanted; by default, all known ones.
     """
     models = list(models) or known_models(steps["model"].unique())
+    measured = [name for name in MEASURED[:2] if name in steps]
+    counts = [f"humans_{name}" for name in models_of(steps, "humans")]
+
+    # What is averaged over the steps, and what is counted in them.
     shares = {f"share_{name}": steps["model"] == name for name in models}
     shares["way_out"] = steps["status"] == "way out"
-    measured = [name for name in MEASURED[:2] if name in steps]
     if measured:
         shares["late"] = steps["status"] == "late"
-    sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(FAILED)}
-    counts = [f"humans_{name}" for name in models_of(steps, "humans")]
-    episodes = steps.assign(**shares, **sums).groupby((steps["step"] == 0).cumsum())
-    means = episodes[["reward", COUNTED, *measured, *counts, *shares]]
-    known = means.count().eq(episodes.size(), axis=0)
-    table = (
-        episodes[KEYS]
-        .first()
-        .join(means.mean().where(known))
-        .join(episodes[list(sums)].sum())
-    )
+    failed = ("previous plan", "braking")
+    sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(failed)}
+
+    number_of_episode = (steps["step"] == 0).cumsum()
+    episodes = steps.assign(**shares, **sums).groupby(number_of_episode)
+    averaged = episodes[["reward", "counted_seconds", *measured, *counts, *shares]]
+    complete = averaged.count().eq(episodes.size(), axis=0)
+    means = averaged.mean().where(complete)
+    table = episodes[KEYS].first().join(means).join(episodes[list(sums)].sum())
     if "success" in steps:
-        ended = episodes["success"].last()  # empty where there is one human
-        table["success"] = ended if ended.isna().any() else ended.astype(int)
+        # It is empty where there is one human.
+        last = episodes["success"].last()
+        table["success"] = last if last.isna().any() else last.astype(int)
     return table.reset_index(drop=True)
 
 
 def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
-    """Check that a table of steps or episodes holds the needed columns, and finite
-    numbers except in `TEXTS`.
+    """Check that a table of steps or episodes holds needed columns and finite numbers.
 
     Args:
         table: the table.
         needed: columns that must be there in addition to those of every table. Those of
-            `NEEDED` have no empty cell.
+            `REQUIRED` have no empty cell.
 
     Raises:
         ValueError: naming what is wrong, and where.
     """
-    absent = sorted({*KEYS, "reward", COUNTED, *needed} - {*table})
+    absent = sorted({*KEYS, "reward", "counted_seconds", *needed} - {*table})
     if absent:
         raise ValueError(f"it has no column {', '.join(absent)}")
-    for name in table.columns.intersection(TEXTS):
-        if table[name].isna().any() and name in NEEDED:
-            raise ValueError(
-                f"it has no {name} in row {1 + int(table[name].isna().argmax())}"
-            )
-    for name in table.columns.difference(TEXTS):
+    texts = ("scenario", "controller", "model", "status")
+    for name in table.columns.intersection(texts):
+        empty = table[name].isna()
+        if empty.any() and name in REQUIRED:
+            raise ValueError(f"it has no {name} in row {1 + int(empty.argmax())}")
+    for name in table.columns.difference(texts):
         numbers = pd.to_numeric(table[name], errors="coerce").astype(float)
-        wrong = ~np.isfinite(numbers) & (table[name].notna() | (name in NEEDED))
+        may_be_empty = name not in REQUIRED
+        empty = table[name].isna() & may_be_empty
+        wrong = ~np.isfinite(numbers) & ~empty
         for row in table[wrong][:1].to_dict("records"):
             where = f"{name} of {row['controller']} with seed {row['seed']}"
             raise ValueError(f"{where} is {row[name]}; it must be a finite number")
@@ -329,9 +313,7 @@ def one_episode(
 def common_seeds(
     records: pd.DataFrame, scenario: str, controllers: Sequence[str]
 ) -> list[int]:
-    """Return the seeds of the episodes that every one of these controllers has driven,
-    ascending.
-    """
+    """Return the seeds from which all of these controllers have driven, ascending."""
     rows = records.query("scenario == @scenario and controller in @controllers")
     driven = rows.groupby("seed")["controller"].nunique()
     return driven.index[driven == len(set(controllers))].tolist()

@@ -1,5 +1,6 @@
-"""Keep results in a directory, with the settings under which they are resumed and the
-runs that made them.
+"""Keep results in a directory, with their settings and the runs that made them.
+
+A run that was stopped resumes under the same settings.
 """
 
 import json
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any, NotRequired, TypeAlias, TypedDict
+from typing import Annotated, Any, ClassVar, NotRequired, TypeAlias, TypedDict
 
 import pandas as pd
 from msgspec import Meta
@@ -30,10 +31,6 @@ from ms_highway.runtime.files import (
 from ms_highway.runtime.jax_settings import cores
 from ms_highway.runtime.sources import Sources, digest, package_digest
 
-SETTINGS_FILE = "settings.json"
-PROVENANCE_FILE = "provenance.json"
-REMEDY = "choose another directory with --out"
-
 Count = Annotated[int, Meta(ge=0)]
 
 AllSources: TypeAlias = dict[str, dict[str, Sources]]
@@ -42,8 +39,9 @@ AllSources: TypeAlias = dict[str, dict[str, Sources]]
 
 
 class Extended(TypedDict, total=False):
-    """Keys of the settings that later comparisons in the same directory extend, all by
-    scenario.
+    """Keys of the settings that later comparisons in the same directory extend.
+
+    All are by scenario.
 
     Attributes:
         measured: T(M) by model [s].
@@ -62,11 +60,10 @@ class Extended(TypedDict, total=False):
 
 
 EXTENDED = tuple(Extended.__annotations__)
-
-CHECKOUT = Path(__file__).parents[2]
-"""Directory above the package, which has ``.git`` in a checkout."""
+"""The keys of `Extended`."""
 
 PACKAGES = ("ms-highway", "jax", "jaxlib", "highway-env", "gymnasium", "numpy")
+"""Packages on whose versions results depend."""
 
 
 class Run(TypedDict):
@@ -101,12 +98,17 @@ class ResultsDirectory:
     episode or a part of many, is either complete in the directory or computed again.
     """
 
+    settings_file: ClassVar[str] = "settings.json"
+    provenance_file: ClassVar[str] = "provenance.json"
+    remedy: ClassVar[str] = "choose another directory with --out"
+
     path: Path
 
     @contextmanager
     def owned(self) -> Iterator["ResultsDirectory"]:
-        """Lock the directory for this run while the block runs, and remove half-written
-        files of earlier runs.
+        """Lock the directory for this run while the block runs.
+
+        Remove half-written files of earlier runs.
 
         Raises:
             ValueError: if another command is writing there, or the record of earlier
@@ -123,7 +125,7 @@ class ResultsDirectory:
         Raises:
             ValueError: if the file cannot be read.
         """
-        file = self.path / SETTINGS_FILE
+        file = self.path / self.settings_file
         if not file.exists():
             return {}
         with reading(file, "choose another directory"):
@@ -132,8 +134,9 @@ class ResultsDirectory:
         return settings
 
     def take_up(self, settings: Mapping, sources: AllSources) -> dict:
-        """Return the settings to compute with: those of the results in the directory
-        or, without results, these.
+        """Return the settings to compute with.
+
+        They are those of the results in the directory or, without results, these.
 
         Args:
             settings: of the new results.
@@ -145,33 +148,43 @@ class ResultsDirectory:
                 on other content, a record of runs that cannot be read, or other files.
         """
         known = self.settings()
-        self.runs()  # to which this run will be added
-        wanted = json.loads(json.dumps(settings))
+        # Fail now if the record, to which this run will be added, cannot be read.
+        self.runs()
+        asked = json.loads(json.dumps(settings))
         if not known:
-            if self.path.exists() and any(
-                not file.name.startswith(PART) for file in self.path.iterdir()
-            ):
-                raise ValueError(
-                    f"{self.path} is not empty, and has no {SETTINGS_FILE}; {REMEDY}"
-                )
-            known = wanted
-        differing = _differences(known, wanted, "the default", EXTENDED)
+            self._refuse_other_files()
+            known = asked
+        differing = _differences(known, asked, "the default", EXTENDED)
         if differing:
-            raise ValueError(f"{self.path} holds results with {differing}; {REMEDY}")
+            raise ValueError(
+                f"{self.path} holds results with {differing}; {self.remedy}"
+            )
         self._take_up_sources(known, sources)
         return known
 
-    def _take_up_sources(self, known: dict, sources: AllSources) -> None:
-        """Check the sources of results that are there, and add those of new ones to the
-        settings.
+    def _refuse_other_files(self) -> None:
+        """Refuse a directory without settings that has files, except half-written ones.
+
+        Raises:
+            ValueError: if it has others.
         """
+        if not self.path.exists():
+            return
+        if any(not file.name.startswith(PART) for file in self.path.iterdir()):
+            raise ValueError(
+                f"{self.path} is not empty, and has no {self.settings_file};"
+                f" {self.remedy}"
+            )
+
+    def _take_up_sources(self, known: dict, sources: AllSources) -> None:
+        """Check the sources of known results; add those of new ones to the settings."""
         kept = known.get("sources", {})
         for scenario, controllers in sources.items():
             for controller, now in controllers.items():
                 before = kept.get(scenario, {}).get(controller)
                 if before is not None:
-                    place = f"{self.path} holds results of {controller} in {scenario}"
-                    refuse_changed(place, before, now, REMEDY)
+                    results = f"{self.path} holds results of {controller} in {scenario}"
+                    refuse_changed(results, before, now, self.remedy)
 
         # All results of a directory stand in one table: a name has one content there,
         # also for other controllers.
@@ -181,29 +194,25 @@ class ResultsDirectory:
                 everything |= now
         for scenario, controllers in kept.items():
             for controller, before in controllers.items():
-                common = {
-                    name: content
-                    for name, content in before.items()
-                    if name in everything
-                }
-                place = f"{self.path} holds results of {controller} in {scenario}"
-                refuse_changed(place, common, everything, REMEDY)
+                common = {name: before[name] for name in before if name in everything}
+                results = f"{self.path} holds results of {controller} in {scenario}"
+                refuse_changed(results, common, everything, self.remedy)
 
-        refuse_changed_files(f"{self.path} holds results", known, REMEDY)
+        refuse_changed_files(f"{self.path} holds results", known, self.remedy)
 
+        # Results that are there keep their sources, also if they depend on none.
+        asked = known.get("asked", {})
         for scenario, controllers in sources.items():
+            known_controllers = {*kept.get(scenario, {}), *asked.get(scenario, {})}
             for controller, now in controllers.items():
-                results = {
-                    **kept.get(scenario, {}),
-                    **known.get("asked", {}).get(scenario, {}),
-                }
-                if now and controller not in results:
+                if now and controller not in known_controllers:
                     own = known.setdefault("sources", {}).setdefault(scenario, {})
                     own[controller] = now
 
     def add_late_sources(self, settings: dict, late: Sources) -> None:
-        """Add to the settings what modules have imported and read while they drove, and
-        write them if that is new.
+        """Add to the settings what modules have imported and read while they drove.
+
+        Write the settings if that is new.
 
         Raises:
             ValueError: if a file has changed meanwhile.
@@ -212,7 +221,7 @@ class ResultsDirectory:
             return
         kept = settings.setdefault("late_sources", {})
         common = {name: content for name, content in kept.items() if name in late}
-        refuse_changed(f"{self.path} holds results", common, late, REMEDY)
+        refuse_changed(f"{self.path} holds results", common, late, self.remedy)
         if late.keys() - kept.keys():
             kept.update(late)
             self.write_settings(settings)
@@ -223,7 +232,7 @@ class ResultsDirectory:
         Raises:
             OSError: if the file cannot be written.
         """
-        write_json(self.path / SETTINGS_FILE, settings)
+        write_json(self.path / self.settings_file, settings)
 
     def runs(self) -> list[Run]:
         """Return the recorded runs that made the results, the first one first.
@@ -231,12 +240,11 @@ class ResultsDirectory:
         Raises:
             ValueError: if the record cannot be read.
         """
-        file = self.path / PROVENANCE_FILE
+        file = self.path / self.provenance_file
         if not file.exists():
             return []
-        with reading(
-            file, "move it away or choose another directory", " as a list of runs"
-        ):
+        remedy = "move it away or choose another directory"
+        with reading(file, remedy, " as a list of runs"):
             return read(read_json(file), list[Run])
 
     def record(self, command: str) -> str:
@@ -252,53 +260,63 @@ class ResultsDirectory:
         run = this_run(command)
         runs = self.runs()
         differing = self.differing(run)
-        write_json(self.path / PROVENANCE_FILE, [*runs, run])
+        write_json(self.path / self.provenance_file, [*runs, run])
         return differing
 
     def differing(self, run: Run) -> str:
-        """Say in which versions, flags, code and commit a run differs from the last
-        recorded one; empty if in none.
+        """Say in which software a run differs from the last recorded one.
+
+        Software are versions, flags, code and commit; the text is empty without a
+        difference.
         """
         runs = self.runs() or [run]
         last = runs[-1]
-        if "code" not in last:  # as in results of earlier versions of this package
+        # Earlier versions of this package recorded no code.
+        if "code" not in last:
             run = {**run, "code": "none"}
         return _differences(_software(run), _software(last), "none")
 
 
 def _software(run: Run) -> dict[str, str]:
     """Return what of a run may change results."""
-    flags = run.get("xla_flags") or "none"
-    names = {"code": run.get("code", "none"), "commit": run.get("commit", "none")}
-    return {**run["versions"], "XLA_FLAGS": flags, **names}
+    return {
+        **run["versions"],
+        "XLA_FLAGS": run.get("xla_flags") or "none",
+        "code": run.get("code", "none"),
+        "commit": run.get("commit", "none"),
+    }
 
 
 def _differences(
-    one: Mapping, other: Mapping, absent: str, but: tuple[str, ...] = ()
+    one: Mapping, other: Mapping, absent: str, ignored: tuple[str, ...] = ()
 ) -> str:
-    """Say in which keys two mappings differ, and what the first one has instead of the
-    second.
+    """Say what one mapping has instead of another one.
+
+    Args:
+        one: the first mapping.
+        other: the second mapping.
+        absent: word for the value of a key that is missing.
+        ignored: keys that may differ.
     """
-    pairs = {
-        key: (one.get(key, absent), other.get(key, absent))
-        for key in {**one, **other}
-        if key not in but
-    }
-    return ", ".join(
-        f"{key} {mine} instead of {yours}"
-        for key, (mine, yours) in pairs.items()
-        if mine != yours
-    )
+    differing = []
+    for key in {**one, **other}:
+        first = one.get(key, absent)
+        second = other.get(key, absent)
+        if key not in ignored and first != second:
+            differing.append(f"{key} {first} instead of {second}")
+    return ", ".join(differing)
 
 
 def refuse_changed_files(what: str, settings: Mapping, remedy: str) -> None:
-    """Refuse to go on with results after one of their ``late_sources`` has changed; see
-    `refuse_changed`.
+    """Refuse results after one of their ``late_sources`` has changed.
+
+    See `refuse_changed`.
     """
     late = settings.get("late_sources", {})
-    now = {
-        name: digest(Path(name)) if Path(name).is_file() else "missing" for name in late
-    }
+    now = {}
+    for name in late:
+        file = Path(name)
+        now[name] = digest(file) if file.is_file() else "missing"
     refuse_changed(what, late, now, remedy)
 
 
@@ -327,9 +345,7 @@ def refuse_changed(what: str, before: Sources, now: Sources, remedy: str) -> Non
 
 
 def write_table(table: pd.DataFrame, file: Path) -> None:
-    """Write a table without its index, in the format of the file's ending: ``.csv`` or
-    ``.parquet``.
-    """
+    """Write a table without its index, as ``.csv`` or ``.parquet``."""
     with replacing(file) as path:
         if file.suffix == ".parquet":
             table.to_parquet(path, index=False)
@@ -339,6 +355,8 @@ def write_table(table: pd.DataFrame, file: Path) -> None:
 
 def this_run(command: str = "") -> Run:
     """Describe this process, which a command started."""
+    # The directory above the package has ``.git`` in a checkout.
+    checkout = Path(__file__).parents[2]
     return {
         "command": command,
         "time": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -353,40 +371,30 @@ def this_run(command: str = "") -> Run:
         },
         "xla_flags": os.environ.get("XLA_FLAGS", ""),
         "code": package_digest(),
-        **_checkout(CHECKOUT),
+        **_commit(checkout),
     }
 
 
-def _checkout(directory: Path) -> dict:
+def _commit(directory: Path) -> dict:
+    """Return the commit of a checkout, and whether files have changed since."""
     if not (directory / ".git").exists():
         return {}
-    command = [
-        "git",
-        "-C",
-        str(directory),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=40",
-        "--exclude=*",
-    ]
+    describe = "describe --always --dirty --abbrev=40 --exclude=*"
+    command = ["git", "-C", str(directory), *describe.split()]
     try:
-        told = subprocess.run(
-            command, capture_output=True, text=True, check=True
-        ).stdout.strip()
-    except (
-        OSError,
-        subprocess.CalledProcessError,
-    ):  # git is missing, or does not trust the directory's owner
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        # git is missing, or does not trust the directory's owner.
         return {}
-    return {"commit": told.removesuffix("-dirty"), "dirty": told.endswith("-dirty")}
+    name = done.stdout.strip()
+    return {"commit": name.removesuffix("-dirty"), "dirty": name.endswith("-dirty")}
 
 
 def _processor() -> str:
     """Return the processor's name, which Python knows only on some systems."""
     information = Path("/proc/cpuinfo")
     text = information.read_text() if information.exists() else ""
-    _, found, name = text.partition("model name\t: ")
-    return (
-        name.partition("\n")[0] if found else platform.processor() or platform.machine()
-    )
+    _, found, rest = text.partition("model name\t: ")
+    if found:
+        return rest.partition("\n")[0]
+    return platform.processor() or platform.machine()

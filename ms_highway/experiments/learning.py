@@ -1,18 +1,17 @@
-"""Learn the value of computation by rounds of rollouts and fits, as cost-sensitive
-policy iteration.
+"""Learn the value of computation by rounds of rollouts and fits.
 
-Rollouts of later rounds follow the rule of the last fit, from states that this rule
-visits. Every scenario and every fit of a round has its own stream of random numbers.
-Therefore, a seed gives the same values on any number of devices, even if learning was
-interrupted.
+This is cost-sensitive policy iteration. Rollouts of later rounds follow the rule of the
+last fit, from states that this rule visits. Every scenario and every fit of a round has
+its own stream of random numbers. Therefore, a seed gives the same values on any number
+of devices, even if learning was interrupted.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
+from enum import IntEnum
 from itertools import pairwise
 from math import ceil
 from pathlib import Path
-from typing import Any
 from zlib import crc32
 
 import jax
@@ -36,16 +35,37 @@ from ms_highway.runtime.sources import late_sources
 with needing("learning"):
     import optax
 
-REMEDY = "remove it, or choose another --out"
-MIN_SPREAD = 1e-3  # added to the standard deviation of an input, which may be 0
-SCENARIO, FIT = 1, 2  # streams of random numbers
 
-NETWORKS = 4  # which differ in their first weights and in the order of the examples
-HIDDEN = (32, 32)
-STEPS = 3000
-EXAMPLES = 256  # per gradient step of each network
-RATE = 3e-3  # first learning rate, which falls to 0 as a cosine
-DECAY = 0.5  # share that weights lose per step, times the learning rate
+class Stream(IntEnum):
+    """Number the streams of random numbers of a round."""
+
+    ROLLOUTS = 1
+    FIT = 2
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """Set the networks and how they are fitted."""
+
+    networks: int = 4
+    """Number of networks. They differ in their first weights and in the order of the
+    examples, and so tell how sure they are.
+    """
+    hidden: tuple[int, ...] = (32, 32)
+    """Number of units in each hidden layer."""
+    steps: int = 3000
+    """Number of gradient steps."""
+    examples: int = 256
+    """Number of examples in a gradient step of a network."""
+    rate: float = 3e-3
+    """First learning rate, which falls to 0 as a cosine."""
+    decay: float = 0.5
+    """Share that weights lose per step, times the learning rate."""
+    min_spread: float = 1e-3
+    """Added to the standard deviation of an input, which may be 0."""
+
+
+FIT = FitSettings()
 
 
 def prepare(
@@ -55,8 +75,9 @@ def prepare(
     horizon: int | None,
     seed: int,
 ) -> tuple[Learning, list[Batch]]:
-    """Return the settings of learning, and the scenarios. None stands for the usual
-    number.
+    """Return the settings of learning, and the scenarios.
+
+    None stands for the usual number.
 
     Args:
         comparison: the scenarios, with a controller that needs T(M) of all models.
@@ -71,11 +92,6 @@ def prepare(
     """
     batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
-    costs = {
-        name: seconds
-        for batch in batches
-        for name, seconds in batch.costs.seconds.items()
-    }
     several = batches[0].humans > 1
     if any((batch.humans > 1) != several for batch in batches):
         raise ValueError(
@@ -90,8 +106,10 @@ def prepare(
         raise ValueError(
             f"values are learned among humans who plan for their reward; {remedy}"
         )
+
+    # What the file of the values will tell about how they were learned.
     horizons = sorted({batch.environment.settings.horizon for batch in batches})
-    settings = {
+    provenance = {
         **comparison.common_config(),
         "versions": this_run()["versions"],
         "scenarios": list(comparison.controllers),
@@ -99,55 +117,57 @@ def prepare(
         # Of plans, where "horizon" is that of rollouts; a list if scenarios differ.
         "planning_horizon": horizons[0] if len(horizons) == 1 else horizons,
     }
-    later = states and (states if several else ceil(states * 5 / 8))
-    given = {"rounds": rounds, "horizon": horizon, "states": later and (states, later)}
-    own: dict = (SEVERAL if several else {}) | {
-        name: value for name, value in given.items() if value
-    }
-    return (
-        Learning(
-            {name: costs[name] for name in models}, seed=seed, settings=settings, **own
-        ),
-        batches,
-    )
+
+    # Numbers that differ from the defaults.
+    own: dict = dict(SEVERAL) if several else {}
+    if rounds:
+        own["rounds"] = rounds
+    if horizon:
+        own["horizon"] = horizon
+    if states:
+        own["states"] = (states, states if several else ceil(states * 5 / 8))
+
+    seconds: dict[str, float] = {}
+    for batch in batches:
+        seconds |= batch.costs.seconds
+    costs = {name: seconds[name] for name in models}
+    learning = Learning(costs, seed=seed, settings=provenance, **own)
+    return learning, batches
 
 
 def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
-    """Fit values to the rollouts of ``number`` rounds; without rollouts, return values
-    that mean nothing.
+    """Fit values to the rollouts of ``number`` rounds.
+
+    Without rollouts, return values that mean nothing.
     """
-    random = _stream(how, number, FIT)
+    random = _stream(how, number, Stream.FIT)
     names = description_names()
     network = new_network(random, len(names), len(how.costs) - 1)
     centre = np.zeros(len(names))
     spread = np.ones(len(names))
     if done:
-        rollouts = Rollouts(*map(np.concatenate, zip(*done, strict=True)))
-        centre = rollouts.descriptions.mean(axis=0)
-        spread = rollouts.descriptions.std(axis=0) + MIN_SPREAD
-        chosen = random.integers(
-            len(rollouts.descriptions), size=(STEPS, NETWORKS, EXAMPLES)
-        )
-        standard = np.float32((rollouts.descriptions - centre) / spread)
-        network = jax.tree.map(
-            np.asarray, _fit(network, chosen, standard, np.float32(rollouts.gains))
-        )
-    examples = sum(len(part.descriptions) for part in done)
-    settings = {
-        "examples": examples,
+        descriptions = np.concatenate([part.descriptions for part in done])
+        gains = np.concatenate([part.gains for part in done])
+        centre = descriptions.mean(axis=0)
+        spread = descriptions.std(axis=0) + FIT.min_spread
+        standard = np.float32((descriptions - centre) / spread)
+        # Places of the examples of every gradient step and network.
+        size = (FIT.steps, FIT.networks, FIT.examples)
+        chosen = random.integers(len(descriptions), size=size)
+        fitted_network = _fit(network, chosen, standard, np.float32(gains))
+        network = jax.tree.map(np.asarray, fitted_network)
+    provenance = {
+        **how.settings,
+        "examples": sum(len(part.descriptions) for part in done),
         "rounds": number,
         "horizon": how.horizon,
         "held": how.held,
     }
-    return Values(
-        network, centre, spread, tuple(how.costs), names, {**how.settings, **settings}
-    )
+    return Values(network, centre, spread, tuple(how.costs), names, provenance)
 
 
 def _stream(how: Learning, *place: int) -> Random:
-    """Return the stream of random numbers of a place, such as a round and the number of
-    a scenario.
-    """
+    """Return the random numbers of a place: a round, a `Stream` and a scenario."""
     return np.random.default_rng([how.seed, *place])
 
 
@@ -173,40 +193,45 @@ def learn(
     Raises:
         ValueError: if the directory exists and holds something else.
     """
-    names = [batch.environment.scenario.name for batch in batches]
-    games = []
-    for name, batch in zip(names, batches, strict=True):
-        numbers = [
-            np.asarray(leaf, np.float32).tobytes()
-            for leaf in jax.tree.leaves(batch.loop.game)
-        ]
-        games.append((name, batch.steps, batch.rungs, crc32(b"".join(numbers))))
+    # A run is resumed only in the same games.
+    games = [_fingerprint(batch) for batch in batches]
     results = ResultsDirectory(kept)
     settings = results.take_up(
         {**asdict(learning), "games": games}, batches[0].comparison.sources()
     )
     results.write_settings(settings)
+
     values = fitted(learning, [], 0)
-    done = list[Rollouts]()
+    done: list[Rollouts] = []
     for number in range(1, learning.rounds + 1):
+        is_later = number > 1
         for place, batch in enumerate(batches):
             file = kept / f"{number}-{place}.npz"
             if not file.exists():
                 seconds = {name: learning.costs[name] for name in batch.rungs}
                 costs = Costs.of(seconds, batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
-                driving = Driving(batch, learning, rule, number > 1, devices)
-                found = driving.roll_out(
-                    _stream(learning, number, SCENARIO, place),
-                    learning.states[number > 1],
-                )
+                driving = Driving(batch, learning, rule, is_later, devices)
+                random = _stream(learning, number, Stream.ROLLOUTS, place)
+                found = driving.roll_out(random, learning.states[is_later])
                 results.add_late_sources(settings, late_sources())
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
             done.append(read_rollouts(file))
-            yield f"round {number} of {learning.rounds}: {names[place]}", None
+            scenario = batch.environment.scenario.name
+            yield f"round {number} of {learning.rounds}: {scenario}", None
         values = fitted(learning, done, number)
         yield f"round {number} of {learning.rounds}: fitted", values
+
+
+def _fingerprint(batch: Batch) -> tuple[str, int, list[str], int]:
+    """Return what tells the game of a scenario apart from others."""
+    numbers = [
+        np.asarray(leaf, np.float32).tobytes()
+        for leaf in jax.tree.leaves(batch.loop.game)
+    ]
+    checksum = crc32(b"".join(numbers))
+    return batch.environment.scenario.name, batch.steps, batch.rungs, checksum
 
 
 def read_rollouts(file: Path) -> Rollouts:
@@ -215,37 +240,40 @@ def read_rollouts(file: Path) -> Rollouts:
     Raises:
         ValueError: if the file is damaged, or holds numbers that are not finite.
     """
-    with reading(file, REMEDY):
-        kept = Rollouts(
-            **read_arrays(file, file.stat().st_size)
-        )  # it is not compressed
+    with reading(file, "remove it, or choose another --out"):
+        # It is not compressed, so its arrays are not larger than the file.
+        kept = Rollouts(**read_arrays(file, file.stat().st_size))
         if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
             raise ValueError("it holds numbers that are not finite")
     return kept
 
 
 def new_network(random: Random, inputs: int, means: int) -> Network:
-    """Draw first weights whose variance keeps the scale of activations across tanh
-    layers (LeCun et al. 1998).
+    """Draw the first weights of networks.
+
+    Their variance keeps the scale of activations across tanh layers (LeCun et al.
+    1998).
+
+    Args:
+        random: random numbers.
+        inputs: number of inputs.
+        means: number of gains; the networks have a mean and a spread of each.
     """
-    return tuple(
-        (
-            (random.normal(size=(NETWORKS, one, other)) / np.sqrt(one)).astype(
-                np.float32
-            ),
-            np.zeros((NETWORKS, other), np.float32),
-        )
-        for one, other in pairwise([inputs, *HIDDEN, 2 * means])
-    )
+    layers = []
+    for before, after in pairwise([inputs, *FIT.hidden, 2 * means]):
+        drawn = random.normal(size=(FIT.networks, before, after))
+        weights = (drawn / np.sqrt(before)).astype(np.float32)
+        biases = np.zeros((FIT.networks, after), np.float32)
+        layers.append((weights, biases))
+    return tuple(layers)
 
 
 @jax.jit
 def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Network:
-    """Fit the gains of rungs over the first one, and their spreads, by AdamW and the
-    likelihood of normal errors.
+    """Fit the gains of rungs over the first one, and their spreads.
 
-    If small causes have large effects, as in Stay Back with 20 gradient steps, the
-    spread is large, and errors weigh less.
+    AdamW maximises the likelihood of normal errors. If small causes have large effects,
+    as in Stay Back with 20 gradient steps, the spread is large, and errors weigh less.
 
     Args:
         network: first weights.
@@ -255,31 +283,35 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         gains: their gains.
     """
 
-    def one(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def predict(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Return the mean and the spread of each gain, by one network of its own."""
         means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
         return means[0], noise(spreads[0])
 
     def loss(network: Network, chosen: Array) -> Array:
-        means, apart = jax.vmap(jax.vmap(one, in_axes=(None, 0)))(
-            network, jnp.asarray(inputs)[chosen]
-        )
+        """Return the loss of all networks on examples, [networks, examples]."""
+        predict_all = jax.vmap(jax.vmap(predict, in_axes=(None, 0)))
+        # [networks, examples, rungs above the first]
+        means, spreads = predict_all(network, jnp.asarray(inputs)[chosen])
         counts = jnp.isfinite(gains[chosen])
         errors = means - jnp.where(counts, gains[chosen], 0)
-        surprise = errors**2 / (2 * apart**2) + jnp.log(apart)
-        surprise *= jax.lax.stop_gradient(
-            apart
-        )  # errors weigh more than their likelihood says (Seitzer et al. 2022)
+
+        # Negative logarithm of a normal density, times the spread: errors weigh more
+        # than their likelihood says (Seitzer et al. 2022).
+        surprise = errors**2 / (2 * spreads**2) + jnp.log(spreads)
+        surprise *= jax.lax.stop_gradient(spreads)
         return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
 
-    optimizer = optax.adamw(
-        optax.cosine_decay_schedule(RATE, len(chosen)), weight_decay=DECAY
-    )
+    rate = optax.cosine_decay_schedule(FIT.rate, len(chosen))
+    optimizer = optax.adamw(rate, weight_decay=FIT.decay)
 
-    def step(carry: Any, chosen: jax.Array) -> tuple[Any, None]:
+    def step(
+        carry: tuple[Network, optax.OptState], chosen: jax.Array
+    ) -> tuple[tuple[Network, optax.OptState], None]:
+        """Take one gradient step."""
         network, state = carry
-        updates, state = optimizer.update(
-            jax.grad(loss)(network, chosen), state, network
-        )
+        gradient = jax.grad(loss)(network, chosen)
+        updates, state = optimizer.update(gradient, state, network)
         return (optax.apply_updates(network, updates), state), None
 
     (network, _), _ = jax.lax.scan(

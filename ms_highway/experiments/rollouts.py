@@ -1,18 +1,19 @@
-"""Roll out the models of a ladder from visited states; the value of computation is
-learned from these examples.
+"""Roll out the models of a ladder from visited states.
 
-In a rollout, a model predicts one or more of the nearest humans for some steps, and
-naive predicts the others. Then naive predicts all of them, or the learned rule chooses.
+The value of computation is learned from these examples. In a rollout, a model predicts
+one or more of the nearest humans for some steps, and naive predicts the others. Then
+naive predicts all of them, or the learned rule chooses.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import product
 from math import ceil
-from typing import Any, NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from ms_highway.choice.choosers import PriceTogether
 from ms_highway.choice.rule import GameEvidence, Rule
@@ -20,18 +21,22 @@ from ms_highway.choice.situation import describe, nearness
 from ms_highway.experiments.batch import Batch
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes, Records
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import Devices
 
 Random: TypeAlias = np.random.Generator
 
-# largest loss that counts in a step, as plans may fail and cars may leave the world
-WORST_STEP = 1e3
+Starts: TypeAlias = Float[np.ndarray, "episodes cars 4"]
+"""States of all cars from which episodes or rollouts start."""
+
+DrawnWeights: TypeAlias = Float[np.ndarray, "episodes humans features"]
+"""Weights of the rewards that the humans drive for."""
+
+Schedules: TypeAlias = Int[np.ndarray, "episodes steps humans"]
+"""Rung of the model that predicts each human in each step."""
 
 
 class Rollouts(NamedTuple):
-    """Gains of the rungs in visited states, with an example for each of the nearest
-    humans.
+    """Gains of the rungs in visited states, an example for each of the nearest humans.
 
     Attributes:
         descriptions: descriptions of the situations [examples, numbers], see
@@ -41,14 +46,15 @@ class Rollouts(NamedTuple):
             the rung is not on the scenario's ladder.
     """
 
-    descriptions: Any
-    gains: Any
+    descriptions: Float[np.ndarray, "examples numbers"]
+    gains: Float[np.ndarray, "examples rungs"]
 
 
 @dataclass(frozen=True)
 class Learning:
-    """Settings of learning. The defaults are for one human, `SEVERAL` those for
-    several.
+    """Settings of learning.
+
+    The defaults are for one human, `SEVERAL` those for several.
 
     Attributes:
         costs: T(M) of the models of the ladder, cheapest first [s].
@@ -99,7 +105,7 @@ SEVERAL: dict = {
 
 @dataclass(frozen=True)
 class Driving:
-    """A scenario in which values are learned, and what drives in it.
+    """A scenario in which values are learned, and the rule that drives in it.
 
     Attributes:
         batch: draws and simulates the episodes of the scenario.
@@ -107,7 +113,11 @@ class Driving:
         rule: rule of the last fit, on the scenario's ladder.
         learned: whether there was a fit; otherwise, the rule is not used.
         devices: that simulate it; None for the first.
+        worst_step: largest loss that counts in a step, as plans may fail and cars may
+            leave the world.
     """
+
+    worst_step: ClassVar[float] = 1e3
 
     batch: Batch
     how: Learning
@@ -115,7 +125,7 @@ class Driving:
     learned: bool
     devices: Devices | None
 
-    def starts(self, random: Random, count: int) -> tuple[Array, Array]:
+    def starts(self, random: Random, count: int) -> tuple[Starts, DrawnWeights]:
         """Draw starts [count, cars, 4] and the weights of the humans' rewards [count,
         humans, features].
 
@@ -124,15 +134,14 @@ class Driving:
         times their standard deviation.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
-        starts, weights = (
-            np.array(part, np.float32) for part in zip(*drawn, strict=True)
-        )
-        noise = random.uniform(1.0, self.how.noise, (count, 1, 1)).astype(np.float32)
-        return starts[::2] + noise * (starts[1::2] - starts[::2]), weights[::2]
+        starts, weights = zip(*drawn, strict=True)
+        first = np.array(starts, np.float32)[::2]
+        second = np.array(starts, np.float32)[1::2]
+        c = random.uniform(1.0, self.how.noise, (count, 1, 1)).astype(np.float32)
+        return first + c * (second - first), np.array(weights, np.float32)[::2]
 
-    def orders(self, random: Random, count: int) -> Array:
-        """Draw orders of models that keep their rungs for some steps, [count, steps,
-        humans].
+    def orders(self, random: Random, count: int) -> Schedules:
+        """Draw orders of models that keep their rungs for some steps.
 
         Each order has frequencies of rungs of its own. Several humans change their
         rungs in the same steps, each to a rung of its own.
@@ -140,52 +149,53 @@ class Driving:
         rungs = len(self.batch.rungs)
         steps = self.batch.steps
         orders = np.zeros((count, steps, self.batch.humans), np.int32)
-        for order, share in zip(
-            orders, random.dirichlet(np.ones(rungs), count), strict=True
-        ):
+        shares = random.dirichlet(np.ones(rungs), count)
+        for order, share in zip(orders, shares, strict=True):
             drawn = random.choice(rungs, order.shape, p=share)
             changes = random.random(steps) > self.how.stays
-            order[:] = drawn[
-                np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
-            ]
+            # Each step takes the rungs that were drawn at the last change.
+            last_change = np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
+            order[:] = drawn[last_change]
         return orders
 
-    def drive(self, starts: Any, weights: Any, schedules: Any, prices: Any) -> Records:
+    def drive(
+        self,
+        starts: Starts,
+        weights: DrawnWeights,
+        schedules: Schedules,
+        prices: float | Float[np.ndarray, "episodes"],
+    ) -> Records:
         """Simulate episodes with models from schedules or from the rule.
 
         Episodes of any length are simulated in segments as long as a rollout, so that a
         scenario is compiled once. Every segment starts without a last plan.
 
         Args:
-            starts: starts of all cars [episodes, cars, 4].
-            weights: weights of the humans' rewards [episodes, humans, features].
-            schedules: rung of every human [episodes, steps, humans], or `DECIDES` for
-                the rule's choice.
-            prices: lambdas [episodes], or one for all.
+            starts: starts of all cars.
+            weights: weights of the humans' rewards.
+            schedules: rung of every human, or `DECIDES` for the rule's choice.
+            prices: lambdas of the episodes, or one for all.
         """
         loop = replace(self.batch.loop, rule=self.rule)
         horizon = self.how.horizon
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
-        robot = np.tile(np.asarray(loop.game.robot.weights, np.float32), (count, 1))
-        usual = np.full((count, humans), HUMAN_PLANS)
-        parts = []
-        last = np.minimum(
-            np.arange(steps + -steps % horizon), steps - 1
-        )  # whole rollouts
-        for part in np.split(
-            schedules[:, last].astype(np.int32), len(last) // horizon, axis=1
-        ):
-            parts.append(
-                simulate(
-                    loop,
-                    Episodes(starts, lambdas, part, robot, weights, usual),
-                    self.devices,
-                )
-            )
-            starts = np.asarray(parts[-1].states[:, -1])
+        robot_weights = np.asarray(loop.game.robot.weights, np.float32)
+        robot = np.tile(robot_weights, (count, 1))
+        drivers = np.full((count, humans), HUMAN_PLANS)
+
+        # Repeat the last step until the segments are whole.
+        places = np.minimum(np.arange(steps + -steps % horizon), steps - 1)
+        repeated = schedules[:, places].astype(np.int32)
+        segments = np.split(repeated, len(places) // horizon, axis=1)
+
+        records = []
+        for segment in segments:
+            episodes = Episodes(starts, lambdas, segment, robot, weights, drivers)
+            records.append(simulate(loop, episodes, self.devices))
+            starts = np.asarray(records[-1].states[:, -1])
         return jax.tree.map(
-            lambda *columns: np.concatenate(columns, axis=1)[:, :steps], *parts
+            lambda *parts: np.concatenate(parts, axis=1)[:, :steps], *records
         )
 
     def roll_out(self, random: Random, count: int) -> Rollouts:
@@ -198,86 +208,118 @@ class Driving:
         """
         states, weights = self._visited(random, count)
         game = self.batch.loop.game
-        humans = self.batch.humans
-        how = self.how
-        own = [list(how.costs).index(name) for name in self.batch.rungs]
-        held = min(how.held, how.horizon)
-        ranks = np.asarray(_rank(game, states))
-        asked = min(PriceTogether.most_humans, humans)
-        ways = [
-            (0, 0),
-            *product(range(1, len(own)), range(1, asked + 1)),
-        ]  # rung, and how many humans have it
-        schedules = np.full(
-            (len(states), len(ways), how.horizon, humans),
-            DECIDES if self.learned else 0,
-            np.int32,
-        )
-        for place, (rung, number) in enumerate(ways):
-            schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
-        starts, drivers = (
-            np.repeat(part, len(ways), axis=0) for part in (states, weights)
-        )
-        price = float(np.sqrt(np.prod(how.prices)))
-        rewards = self.drive(
-            starts, drivers, schedules.reshape(-1, how.horizon, humans), price
-        ).reward
-        earned = np.clip(
-            np.nan_to_num(rewards, nan=-WORST_STEP), -WORST_STEP, None
-        ).sum(axis=1, dtype=float)
-        naive, others = np.split(earned.reshape(len(states), -1) / held, [1], axis=1)
-        others = others.reshape(len(states), -1, asked)
-        nobody = np.broadcast_to(naive[:, None], (*others.shape[:2], 1))
-        each_more = np.diff(
-            np.concatenate([nobody, others], axis=2), axis=2
-        )  # [states, rungs, humans]
-        gains = np.full((len(states) * asked, len(how.costs) - 1), -np.inf)
-        gains[:, np.array(own[1:], int) - 1] = np.swapaxes(each_more, 1, 2).reshape(
+        ranks = np.asarray(_rank(game, states))  # [states, humans], 0 is the nearest
+        most = min(PriceTogether.most_humans, self.batch.humans)
+        earned = self._earned(states, weights, ranks, most)
+
+        # What each further human adds to the reward: [states, rungs, humans].
+        with_naive, with_rungs = np.split(earned, [1], axis=1)
+        with_rungs = with_rungs.reshape(len(states), -1, most)
+        with_none = np.broadcast_to(with_naive[:, None], (*with_rungs.shape[:2], 1))
+        each_more = np.diff(np.concatenate([with_none, with_rungs], axis=2), axis=2)
+
+        # An example for each state and human; -inf for models off the ladder.
+        models = list(self.how.costs)
+        above = [models.index(name) - 1 for name in self.batch.rungs[1:]]
+        gains = np.full((len(states) * most, len(models) - 1), -np.inf)
+        gains[:, np.array(above, int)] = np.swapaxes(each_more, 1, 2).reshape(
             len(gains), -1
         )
-        nearest = np.argsort(ranks, axis=1)[:, :asked]
-        return Rollouts(
-            np.asarray(_describe(game, states, nearest)).reshape(len(gains), -1), gains
-        )
+        nearest = np.argsort(ranks, axis=1)[:, :most]
+        descriptions = np.asarray(_describe(game, states, nearest))
+        return Rollouts(descriptions.reshape(len(gains), -1), gains)
 
-    def _visited(self, random: Random, count: int) -> tuple[Array, Array]:
-        """Draw states from episodes that random orders and the rule have planned;
-        return them and the humans' weights.
+    def _earned(
+        self,
+        states: Starts,
+        weights: DrawnWeights,
+        ranks: Int[np.ndarray, "states humans"],
+        most: int,
+    ) -> Float[np.ndarray, "states ways"]:
+        """Return what the robot earns in the rollouts of each state.
+
+        The reward is summed over a rollout and divided by the steps in which the rung
+        predicts the humans. In the first rollout, naive predicts all humans; in the
+        others, a rung predicts 1, 2, ... of the nearest humans.
+
+        Args:
+            states: where rollouts start.
+            weights: weights of the humans' rewards.
+            ranks: place of every human among the nearest ones.
+            most: largest number of humans that a rung predicts.
+        """
+        how = self.how
+        held = min(how.held, how.horizon)
+        rungs = range(1, len(self.batch.rungs))
+        ways = [(0, 0), *product(rungs, range(1, most + 1))]
+        shape = (len(states), len(ways), how.horizon, self.batch.humans)
+        schedules = np.full(shape, DECIDES if self.learned else 0, np.int32)
+        for place, (rung, number) in enumerate(ways):
+            schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
+
+        records = self.drive(
+            np.repeat(states, len(ways), axis=0),
+            np.repeat(weights, len(ways), axis=0),
+            schedules.reshape(-1, how.horizon, self.batch.humans),
+            prices=float(np.sqrt(np.prod(how.prices))),
+        )
+        rewards = np.nan_to_num(records.reward, nan=-self.worst_step)
+        rewards = np.clip(rewards, -self.worst_step, None)
+        totals = rewards.sum(axis=1, dtype=float).reshape(len(states), -1)
+        return totals / held
+
+    def _visited(self, random: Random, count: int) -> tuple[Starts, DrawnWeights]:
+        """Draw states from episodes of random orders and the rule.
 
         After a fit, the rule chooses in half of the episodes and, with one human, in
         the later part of the others. With several humans, states in which the robot
         drives and is not in its lane yet are drawn more often, as predictions hardly
         matter in the others.
+
+        Returns:
+            The states, and the weights of the humans' rewards in each.
         """
         steps = self.batch.steps
         game = self.batch.loop.game
-        each = self.how.states_of_an_episode
-        number = ceil(count / each)
-        starts, weights = self.starts(random, number)
-        orders = self.orders(random, number)
+        states_of_each = self.how.states_of_an_episode
+        episodes = ceil(count / states_of_each)
+        starts, weights = self.starts(random, episodes)
+
+        # Who chooses the models: random orders and, after a fit, the rule.
+        orders = self.orders(random, episodes)
         if self.learned:
-            later = steps if game.number > 1 else random.integers(1, steps // 2, number)
-            takes_over = np.where(random.random(number) < 0.5, 0, later)
+            if game.number > 1:
+                later = np.full(episodes, steps)
+            else:
+                later = random.integers(1, steps // 2, episodes)
+            takes_over = np.where(random.random(episodes) < 0.5, 0, later)
             orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
         least, most = np.log(self.how.prices)
-        prices = np.exp(random.uniform(least, most, number))
+        prices = np.exp(random.uniform(least, most, episodes))
+
+        # The states before each step, without episodes that fail.
         after = self.drive(starts, weights, orders, prices).states
         states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
         states = states[finite]
         weights = weights[finite]
-        away = (
-            np.abs(states[:, :, 0, 1] - float(game.scene.target_lane))
-            > float(game.scene.lane_width) / 2
-        )
-        likely = away * states[:, :, 0, 3] / float(game.robot.speed_limit)
+
+        # How likely each state is drawn: [episodes, steps].
+        robot = states[:, :, 0]
+        offset = np.abs(robot[..., 1] - float(game.scene.target_lane))
+        away = offset > float(game.scene.lane_width) / 2
+        likely = away * robot[..., 3] / float(game.robot.speed_limit)
         likely = np.clip(likely, self.how.min_likely, 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
-        visited = [
-            own[random.choice(steps, each, replace=False, p=p)]
-            for own, p in zip(states, likely, strict=True)
-        ]
-        return np.concatenate(visited)[:count], np.repeat(weights, each, axis=0)[:count]
+
+        drawn = []
+        for own, probabilities in zip(states, likely, strict=True):
+            places = random.choice(
+                steps, states_of_each, replace=False, p=probabilities
+            )
+            drawn.append(own[places])
+        weights_of_each = np.repeat(weights, states_of_each, axis=0)
+        return np.concatenate(drawn)[:count], weights_of_each[:count]
 
 
 _describe = jax.jit(jax.vmap(describe, (None, 0, 0)))

@@ -12,13 +12,13 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from functools import lru_cache, partial
 from itertools import count
 from math import ceil
 from pathlib import Path
 from secrets import token_hex
-from typing import Any, TypeAlias
+from typing import TypeAlias
 from warnings import warn
 
 import gymnasium as gym
@@ -33,7 +33,7 @@ from ms_highway.envs.registry import controller_config, robot_config
 from ms_highway.experiments.batch import Tables, make_batch, simulate_parts
 from ms_highway.experiments.comparison import (
     KEYS,
-    NEEDED,
+    REQUIRED,
     Comparison,
     EpisodeKey,
     by_column,
@@ -44,14 +44,24 @@ from ms_highway.runtime.files import reading, whole_lines
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 from ms_highway.runtime.sources import Sources, late_sources
 
-STEPS_FILE = "steps.csv"
-PARTS = "parts"
-EPISODES = "episodes"
-STEPS = "steps"
-REMEDY = "remove it, to have it computed again"
-MIN_EPISODES = (
-    60  # with fewer, further processes take more time to start than they save
-)
+
+@dataclass(frozen=True)
+class ResultFiles:
+    """Name the files and directories of results."""
+
+    steps_file: str = "steps.csv"
+    """Records of a live comparison, a row per step."""
+    parts: str = "parts"
+    """Directory of episodes that are not in `steps_file` yet, a file for each."""
+    episodes: str = "episodes"
+    """Directory of the parts of a sweep, with a row per episode."""
+    steps: str = "steps"
+    """Directory of the parts of a sweep, with a row per step."""
+    remedy: str = "remove it, to have it computed again"
+    """What to do about a piece that cannot be read."""
+
+
+FILES = ResultFiles()
 
 Compute: TypeAlias = Callable[
     [Comparison, Mapping[str, range]], Iterator[tuple[str, Tables]]
@@ -72,15 +82,14 @@ def run(
     processes: int = 1,
     modules: Sequence[str] = (),
 ) -> Iterator[int]:
-    """Drive the episodes that a directory lacks; put the records of all into
-    ``steps.csv`` at the end.
+    """Drive the episodes that a directory lacks; put all into ``steps.csv`` at the end.
 
     Args:
         comparison: what to drive.
         directory: directory of the results.
         processes: number of processes that drive at once, each on a core of its own,
-            but no more than there are cores. If fewer than `MIN_EPISODES` episodes are
-            missing, this process alone drives them.
+            but no more than there are cores. If fewer than 60 episodes are missing,
+            this process alone drives them.
         modules: modules that other processes import, for scenarios and models that they
             add.
 
@@ -97,30 +106,28 @@ def run(
     for key in ("measured", "asked", "lengths"):
         settings.setdefault(key, {})
 
-    # What each scenario needs to know beside the configuration.
-    environments: dict[str, Any] = {}
+    # What the settings say of each scenario beside the configuration.
+    environments: dict[str, InteractionEnv] = {}
     for scenario, controllers in comparison.controllers.items():
         asked = settings["asked"].setdefault(scenario, {})
-        asked.update(
-            {name: max(comparison.seeds, asked.get(name, 0)) for name in controllers}
-        )
-        environments[scenario] = make_environment(
-            scenario, "naive", **comparison.config
-        ).unwrapped
-        settings["lengths"][scenario] = environments[scenario].episode_steps
+        for name in controllers:
+            asked[name] = max(comparison.seeds, asked.get(name, 0))
+        env = interaction(make_environment(scenario, "naive", **comparison.config))
+        settings["lengths"][scenario] = env.episode_steps
+        environments[scenario] = env
 
     # Episodes that are there: only whole ones count.
     records = read_steps(results.path, settings, tells=True)
     if len(records) and list(records) != comparison.columns():
         columns = ", ".join(comparison.columns())
         raise ValueError(
-            f"{results.path / STEPS_FILE}: its columns are not {columns}; choose"
+            f"{results.path / FILES.steps_file}: its columns are not {columns}; choose"
             " another directory"
         )
-    known = {*records[KEYS].itertuples(index=False, name=None)}
-    wanted = list(comparison.episodes())
-    missing = [key for key in wanted if key not in known]
-    number = len(wanted) - len(missing)
+    known = set(_episode_keys(records))
+    asked_episodes = list(comparison.episodes())
+    missing = [key for key in asked_episodes if key not in known]
+    finished = len(asked_episodes) - len(missing)
 
     # Only now is anything measured or written.
     for scenario, env in environments.items():
@@ -128,16 +135,20 @@ def run(
             env.measure()
             settings["measured"][scenario] = env.seconds
     results.write_settings(settings)
-    yield number
-    drive = partial(_driven, comparison, settings["measured"])
+    yield finished
+
+    # Drive, and keep each episode in a file of its own until all are there.
+    parts = results.path / FILES.parts
+    drive = partial(_drive, comparison, settings["measured"])
     for steps, late in _in_processes(drive, missing, min(processes, cores()), modules):
         results.add_late_sources(settings, late)
-        write_table(steps, results.path / PARTS / f"{token_hex(8)}.csv")
-        number += 1
-        yield number
-    if (results.path / PARTS).exists():
-        write_table(read_steps(results.path, settings), results.path / STEPS_FILE)
-        shutil.rmtree(results.path / PARTS)
+        write_table(steps, parts / f"{token_hex(8)}.csv")
+        finished += 1
+        yield finished
+    if parts.exists():
+        all_steps = read_steps(results.path, settings)
+        write_table(all_steps, results.path / FILES.steps_file)
+        shutil.rmtree(parts)
 
 
 def run_batched(
@@ -170,61 +181,53 @@ def run_batched(
         )
     # Refuse what cannot be simulated before anything is written.
     batch = make_batch(comparison, *comparison.controllers)
-    asked = {
-        name: getattr(comparison, name)
-        for name in ("controllers", "seeds", "first_seed")
-    }
     results = ResultsDirectory(directory)
-    settings = {**comparison.common_config(), **asked, "part": part, "steps": steps}
+    settings = {
+        **comparison.common_config(),
+        "controllers": comparison.controllers,
+        "seeds": comparison.seeds,
+        "first_seed": comparison.first_seed,
+        "part": part,
+        "steps": steps,
+    }
     settings = results.take_up(settings, comparison.sources())
-    parts = episode_parts(comparison, part)
 
     # Parts that are there: only whole ones count.
-    whole = len(read_episodes(directory, comparison, part))
-    missing = {
-        name: own
-        for name, own in parts.items()
-        if not (directory / EPISODES / name).exists()
-    }
+    parts = episode_parts(comparison, part)
+    finished = len(read_episodes(directory, comparison, part))
+    there = [name for name in parts if (directory / FILES.episodes / name).exists()]
     if steps:
-        rows = {
-            name: batch.steps * len(own)
-            for name, own in parts.items()
-            if name not in missing
-        }
-        cut = [
-            name
-            for name, count in rows.items()
-            if _rows(directory / STEPS / name) != count
-        ]
+        steps_directory = directory / FILES.steps
+        cut = []
+        for name in there:
+            if _rows(steps_directory / name) != batch.steps * len(parts[name]):
+                cut.append(name)
+                finished -= len(parts[name])
+        there = [name for name in there if name not in cut]
         if cut:
             warn(
-                f"{directory / STEPS}: parts that are not whole are computed again:"
+                f"{steps_directory}: parts that are not whole are computed again:"
                 f" {len(cut)}",
                 stacklevel=2,
             )
-        missing = {
-            name: own for name, own in parts.items() if name in missing or name in cut
-        }
-        whole -= sum(len(parts[name]) for name in cut)
+    missing = {name: places for name, places in parts.items() if name not in there}
     results.write_settings(settings)
+    yield finished
 
-    number = whole
-    yield number
-    kinds = (
-        (STEPS, EPISODES) if steps else (EPISODES,)
-    )  # episodes last: with them, the part is done
+    # Write the episodes last: with them, the part is done.
+    kinds = (FILES.steps, FILES.episodes) if steps else (FILES.episodes,)
     for name, tables in compute(comparison, missing):
         results.add_late_sources(settings, late_sources())
         for kind in kinds:
             write_table(tables[kind], directory / kind / name)
-        number += len(parts[name])
-        yield number
+        finished += len(parts[name])
+        yield finished
 
 
 def episode_parts(comparison: Comparison, part: int) -> dict[str, range]:
-    """Return the places of the episodes of a sweep in `Comparison.episodes`, by the
-    name of the file of their part.
+    """Return the places of the episodes of each part of a sweep.
+
+    They are places in `Comparison.episodes`, by the name of the part's file.
     """
     places = range(len(list(comparison.episodes())))
     starts = places[::part]
@@ -240,7 +243,8 @@ def _rows(file: Path) -> int:
 
     try:
         return pyarrow.parquet.read_metadata(file).num_rows
-    except (OSError, ValueError):  # pyarrow's own errors are among these
+    except (OSError, ValueError):
+        # pyarrow's own errors are among these.
         return 0
 
 
@@ -250,14 +254,15 @@ def _in_processes(
     number: int,
     modules: Sequence[str],
 ) -> Iterator[Driven]:
-    """Drive episodes in this process or, if they are many, in several; yield what
-    `_driven` returns in any order.
+    """Drive episodes in this process or, if they are many, in several.
 
-    Each process drives neighbouring episodes, so that two processes rarely compile the
-    same functions.
+    Yield what `_drive` returns, in any order. Each process drives neighbouring
+    episodes, so that two processes rarely compile the same functions.
     """
     _environment.cache_clear()
-    if number == 1 or len(keys) < MIN_EPISODES:
+    # With fewer episodes, further processes take more time to start than they save.
+    least_episodes = 60
+    if number == 1 or len(keys) < least_episodes:
         yield from map(drive, keys)
         return
     pools = [
@@ -280,10 +285,8 @@ def _in_processes(
 
 
 def read(comparison: Comparison, directory: str | Path) -> pd.DataFrame:
-    """Return the records of a comparison that `run` has finished in a directory, in the
-    comparison's order.
-    """
-    return only(comparison, pd.read_csv(Path(directory) / STEPS_FILE))
+    """Return the records of a comparison that `run` has finished, in its order."""
+    return only(comparison, pd.read_csv(Path(directory) / FILES.steps_file))
 
 
 def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
@@ -292,11 +295,10 @@ def only(comparison: Comparison, records: pd.DataFrame) -> pd.DataFrame:
 
 
 def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.DataFrame:
-    """Read and check the records of a directory, including episodes that are not in
-    ``steps.csv`` yet.
+    """Read and check the records of a directory.
 
-    Episodes that are not whole are left out. If two files hold an episode, the first
-    one counts.
+    They include episodes that are not in ``steps.csv`` yet. Episodes that are not whole
+    are left out. If two files hold an episode, the first one counts.
 
     Args:
         directory: directory of the results.
@@ -307,72 +309,71 @@ def read_steps(directory: Path, settings: Mapping, tells: bool = False) -> pd.Da
     Raises:
         ValueError: for a file that cannot be read.
     """
-    tables = [pd.DataFrame(columns=KEYS)]
-    for file in [
-        directory / STEPS_FILE,
-        *sorted((directory / PARTS).glob("[!.]*.csv")),
-    ]:
-        if file.exists():
-            with reading(
-                file, "choose another directory" if file.parent == directory else REMEDY
-            ):
-                steps, cut = _whole_episodes(file, settings)
-            tables.append(steps)
-            if cut and tells:
-                warn(
-                    f"{file}: episodes that are not whole are computed again: {cut}",
-                    stacklevel=2,
-                )
-    records = pd.concat(tables[1:] or tables)
+    joined = directory / FILES.steps_file
+    parts = sorted((directory / FILES.parts).glob("[!.]*.csv"))
+    tables = []
+    for file in [joined, *parts]:
+        if not file.exists():
+            continue
+        remedy = "choose another directory" if file == joined else FILES.remedy
+        with reading(file, remedy):
+            steps, cut = _whole_episodes(file, settings)
+        tables.append(steps)
+        if cut and tells:
+            warn(
+                f"{file}: episodes that are not whole are computed again: {cut}",
+                stacklevel=2,
+            )
+    records = pd.concat(tables) if tables else pd.DataFrame(columns=KEYS)
     if records.empty:
         return records
 
     # An episode counts once, from the first file that holds it.
-    files = np.repeat(np.arange(len(tables) - 1), list(map(len, tables[1:])))
+    files = np.repeat(np.arange(len(tables)), [len(table) for table in tables])
     first = records[KEYS].assign(file=files).groupby(KEYS)["file"].transform("min")
     records = records[first == files]
 
+    # Asked controllers come first, in their order.
+    by = ["scenario", "controller"]
     asked = settings.get("asked", {})
-    order = pd.DataFrame(
-        [(name, each) for name in asked for each in asked[name]], columns=KEYS[:2]
-    )
-    order = pd.concat([order, records[KEYS[:2]]]).drop_duplicates()
+    rows = [(scenario, name) for scenario, own in asked.items() for name in own]
+    order = pd.concat([pd.DataFrame(rows, columns=by), records[by]]).drop_duplicates()
     return order.merge(records.sort_values(["seed", "step"]))
 
 
 def _whole_episodes(file: Path, settings: Mapping) -> tuple[pd.DataFrame, int]:
-    """Return the steps of the whole episodes in a CSV file, and the number of those
-    that lack steps or have one twice.
+    """Return the steps of the whole episodes in a CSV file, and the number of others.
+
+    The others lack steps or have one twice.
 
     Raises:
         ValueError: if the file holds something else; any other of
             `ms_highway.runtime.files.DAMAGES`.
     """
     steps = pd.read_csv(whole_lines(file))
-    check_table(steps, NEEDED)
-
-    # Of each episode: whether its steps count from 0, and whether it was driven to its
-    # end.
+    check_table(steps, REQUIRED)
     by_episode = steps.groupby(KEYS, sort=False)
+
+    # Whether the steps of an episode count from 0.
+    counts_on = steps["step"].eq(by_episode.cumcount())
+    in_order = counts_on.groupby([steps[key] for key in KEYS]).transform("all")
+
+    # Whether it was driven to its end.
     counts = by_episode["step"].transform("size")
-    in_order = (
-        steps["step"]
-        .eq(by_episode.cumcount())
-        .groupby([steps[key] for key in KEYS])
-        .transform("all")
-    )
     lengths = steps["scenario"].map(settings.get("lengths", {})).fillna(counts)
     ended = counts == lengths
     if settings.get("terminate_on_collision"):
         ended |= by_episode["collision"].transform("last").astype(bool)
+
     whole = in_order & ended
     cut = len(steps[~whole][KEYS].drop_duplicates())
     return steps[whole], cut
 
 
 def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.DataFrame:
-    """Read and check the simulated episodes of a directory, a row for each, in the
-    order of the parts.
+    """Read and check the simulated episodes of a directory, a row for each.
+
+    They are in the order of the parts.
 
     Args:
         directory: directory of the results.
@@ -382,36 +383,39 @@ def read_episodes(directory: Path, comparison: Comparison, part: int) -> pd.Data
     Raises:
         ValueError: for a part that cannot be read, or holds other episodes.
     """
-    tables = [pd.DataFrame(columns=KEYS)]
+    tables = []
     keys = list(comparison.episodes())
     for name, places in episode_parts(comparison, part).items():
-        file = directory / EPISODES / name
+        file = directory / FILES.episodes / name
         if file.exists():
-            with reading(file, REMEDY):
+            with reading(file, FILES.remedy):
                 table = pd.read_parquet(file)
                 check_table(table)
-                if [*table[KEYS].itertuples(index=False, name=None)] != keys[
-                    places.start : places.stop
-                ]:
+                if _episode_keys(table) != keys[places.start : places.stop]:
                     raise ValueError("it holds other episodes than its number says")
                 tables.append(table)
-    return pd.concat(tables[1:] or tables)
+    return pd.concat(tables) if tables else pd.DataFrame(columns=KEYS)
 
 
-def _driven(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> Driven:
-    """Drive one episode; return its records, and what modules have imported and read in
-    this process so far.
+def _episode_keys(table: pd.DataFrame) -> list[EpisodeKey]:
+    """Return the scenario, controller and seed of every row."""
+    return list(table[KEYS].itertuples(index=False, name=None))
+
+
+def _drive(comparison: Comparison, measured: Mapping, key: EpisodeKey) -> Driven:
+    """Drive one episode.
+
+    Returns:
+        Its records, and what modules have imported and read in this process so far.
     """
     scenario, controller, seed = key
     config = dict(comparison.config)
-    if (
-        scenario in measured and controller_config(controller)["type"] != "budget"
-    ):  # budgets need a high quantile
+    # Budgets need a high quantile of the measured times, which they measure themselves.
+    if scenario in measured and controller_config(controller)["type"] != "budget":
         config["costs"] = measured[scenario]
     env = _environment(scenario, controller, json.dumps(config))
-    records = pd.DataFrame(episode(env, seed)).assign(
-        scenario=scenario, controller=controller, seed=seed
-    )
+    records = pd.DataFrame(episode(env, seed))
+    records = records.assign(scenario=scenario, controller=controller, seed=seed)
     return records.reindex(columns=comparison.columns()), late_sources()
 
 
@@ -422,7 +426,7 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
 
 
 def make_environment(
-    scenario: str, controller: str, render: bool = False, **config: Any
+    scenario: str, controller: str, render: bool = False, **config: object
 ) -> gym.Env:
     """Make the environment of a scenario with the robot driven by a controller.
 
@@ -436,13 +440,19 @@ def make_environment(
     Raises:
         ValueError: for an unknown scenario, controller or configuration.
     """
-    whole = {**config, **robot_config(controller)}
     env = gym.make(
         environment_id(scenario),
         render_mode="rgb_array" if render else None,
-        config=whole,
+        config={**config, **robot_config(controller)},
     )
     return AgentDrives(env, controller) if is_agent(controller) else env
+
+
+def interaction(env: gym.Env) -> InteractionEnv:
+    """Return the environment of a scenario without its wrappers."""
+    inner = env.unwrapped
+    assert isinstance(inner, InteractionEnv)
+    return inner
 
 
 def episode(env: gym.Env, seed: int) -> Iterator[dict]:
@@ -452,18 +462,16 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict]:
     `ms_highway.experiments.comparison.Comparison.columns` from ``step`` on.
     """
     env.reset(seed=seed)
-    inner = env.unwrapped
-    assert isinstance(inner, InteractionEnv)
+    inner = interaction(env)
     for step in count():
         _, reward, terminated, truncated, info = env.step(0)
         estimated = {
             name: gain for name, gain in info["gains"].items() if gain != NOT_ESTIMATED
         }
-        columns = by_column(estimated, inner.car_states)
         yield {
             **info,
             **asdict(info["timing"]),
-            **columns,
+            **by_column(estimated, inner.car_states),
             "step": step,
             "reward": reward,
         }

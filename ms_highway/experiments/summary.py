@@ -1,5 +1,4 @@
-"""Summarise records, by scenario and controller, with intervals and in sentences; read
-a directory of results.
+"""Summarise records in tables and sentences; read a directory of results.
 
 `PUBLISHED` holds the results of the paper.
 """
@@ -24,11 +23,7 @@ from ms_highway.experiments.directory import (
 from ms_highway.experiments.runner import read_steps
 
 CONFIDENCE = 0.9
-MILLISECONDS = {
-    "planning_ms": "planning_seconds",
-    "counted_ms": "counted_seconds",
-    "decision_ms": "decision_seconds",
-}
+"""Probability of all intervals."""
 
 
 def summary(records: pd.DataFrame) -> pd.DataFrame:
@@ -61,74 +56,70 @@ def summary(records: pd.DataFrame) -> pd.DataFrame:
     Raises:
         ValueError: for an unknown controller.
     """
-    table = per_episode(records) if "step" in records else records
-    by = ["scenario", "controller"]
-    shares = [
-        f"{what}_{name}"
-        for what in ("share", "humans")
-        for name in models_of(table, what)
+    episodes = per_episode(records) if "step" in records else records
+    shares = [f"share_{name}" for name in models_of(episodes, "share")]
+    shares += [f"humans_{name}" for name in models_of(episodes, "humans")]
+    shares += [name for name in ("success", "late", "way_out") if name in episodes]
+    times = [
+        name
+        for name in ("planning", "counted", "decision")
+        if f"{name}_seconds" in episodes
     ]
-    shares += [name for name in ("success", "late", "way_out") if name in table]
+
+    by = ["scenario", "controller"]
     rows = []
-    for (scenario, controller), some in table.groupby(by, sort=False):
+    for (scenario, controller), own in episodes.groupby(by, sort=False):
         config = controller_config(controller)
-        rewards = some["reward"]
+        rewards = own["reward"]
         low, high = interval(rewards)
-        row = {"scenario": scenario, "controller": controller}
-        row |= {
+        row = {
+            "scenario": scenario,
+            "controller": controller,
             "kind": config["type"],
             "price": config.get("lambda", np.nan),
-            "episodes": len(some),
-        }
-        row |= {
+            "episodes": len(own),
             "reward": rewards.mean(),
             "reward_low": low,
             "reward_high": high,
             "reward_std": rewards.std(),
         }
-        row |= {
-            name: 1e3 * some[column].mean(skipna=False)
-            for name, column in MILLISECONDS.items()
-            if column in some
-        }
-        row |= {
-            "collision_episodes": (some["collisions"] > 0).sum(),
-            "fallbacks": some["fallbacks"].sum(),
-        }
-        rows.append(row | dict(some[shares].mean()))
+        for name in times:
+            row[f"{name}_ms"] = 1e3 * own[f"{name}_seconds"].mean(skipna=False)
+        row["collision_episodes"] = (own["collisions"] > 0).sum()
+        row["fallbacks"] = own["fallbacks"].sum()
+        rows.append(row | dict(own[shares].mean()))
     summaries = pd.DataFrame(rows)
-    if "planning_seconds" in records:
-        cycles = records.assign(
-            ms=1e3 * (records["planning_seconds"] + records["decision_seconds"])
-        ).groupby(by)["ms"]
-        quantiles = pd.DataFrame(
-            {
-                "cycle_ms_p50": cycles.quantile(0.5),
-                "cycle_ms_p99": cycles.quantile(0.99),
-            }
-        )
-        summaries = summaries.join(quantiles, on=by)
-    return summaries
+    if "planning_seconds" not in records:
+        return summaries
+
+    # Quantiles of the time of single steps.
+    seconds = records["planning_seconds"] + records["decision_seconds"]
+    cycles = records.assign(ms=1e3 * seconds).groupby(by)["ms"]
+    quantiles = {
+        "cycle_ms_p50": cycles.quantile(0.5),
+        "cycle_ms_p99": cycles.quantile(0.99),
+    }
+    return summaries.join(pd.DataFrame(quantiles), on=by)
 
 
 def interval(values: pd.Series) -> tuple[float, float]:
-    """Return the 90 % interval of the mean, by Student's t; NaN for fewer than two
-    values.
+    """Return the 90 % interval of the mean, by Student's t.
+
+    It is NaN for fewer than two values.
     """
     half = stats.t.ppf((1 + CONFIDENCE) / 2, len(values) - 1) * values.sem()
     return values.mean() - half, values.mean() + half
 
 
 def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
-    """Return one controller of each kind that chooses online, with the smallest lambda,
-    in the table's order.
+    """Return a controller of each kind that chooses online, with the smallest lambda.
+
+    They are in the table's order.
     """
-    rows = summaries[
-        (summaries["scenario"] == scenario) & summaries["kind"].isin(priced_types())
-    ]
-    return rows.loc[
-        rows.groupby("kind", sort=False)["price"].idxmin(), "controller"
-    ].to_list()
+    here = summaries["scenario"] == scenario
+    rows = summaries[here & summaries["kind"].isin(priced_types())]
+    smallest = rows.groupby("kind", sort=False)["price"].idxmin()
+    return rows.loc[smallest, "controller"].to_list()
 
 
 def most_informative_pair(
@@ -155,12 +146,12 @@ def most_informative_pair(
 
 
 def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str:
-    """Summarise a scenario: the gain of the best fixed model, the share that choosing
-    keeps of it, and collisions.
+    """Summarise a scenario in sentences.
 
-    If no fixed model was driven, the best and the cheapest are those of all
-    controllers. A gain is more than chance if its 90 % interval, over the starts from
-    which both drove, is above 0.
+    They tell the gain of the best fixed model over the cheapest one, the share that
+    choosing keeps of it, and collisions. If no fixed model was driven, the best and the
+    cheapest are those of all controllers. A gain is more than chance if its 90 %
+    interval, over the starts from which both drove, is above 0.
 
     Args:
         records: a row per step, see
@@ -170,81 +161,64 @@ def answer(records: pd.DataFrame, summaries: pd.DataFrame, scenario: str) -> str
     """
     rows = summaries.query("scenario == @scenario").set_index("controller")
     reward = rows["reward"]
+    # A controller whose T(M) is unknown is never the cheapest.
     counted = rows["counted_ms"].fillna(float("inf"))
-    models = rows.query("kind == 'fixed'").index
-    models = rows.index if models.empty else models
+    fixed = rows.query("kind == 'fixed'").index
+    models = rows.index if fixed.empty else fixed
     best = str(reward[models].idxmax())
     cheapest = str(counted[models].idxmin())
-    driven = records.query("scenario == @scenario").pivot_table(
-        "reward", "seed", "controller"
-    )
-    gains = (driven[best] - driven[cheapest]).dropna()
+
+    # The gain from each start from which both drove.
+    driven = records.query("scenario == @scenario")
+    by_start = driven.pivot_table("reward", "seed", "controller")
+    gains = (by_start[best] - by_start[cheapest]).dropna()
     low, high = interval(gains)
+
     sentences = [f"{best} earns a reward of {reward[best]:.2f} per step."]
     if best != cheapest:
+        starts = "one start"
+        if len(gains) > 1:
+            starts = f"90 % interval {low:.2f} to {high:.2f}, starts: {len(gains)}"
         chance = "" if low > 0 else ", which may be chance"
-        sure = (
-            f"90 % interval {low:.2f} to {high:.2f}, starts: {len(gains)}"
-            if len(gains) > 1
-            else "one start"
-        )
-        sentences.append(
-            f"That is {gains.mean():.2f} more than {cheapest} ({sure}){chance}."
-        )
+        more = f"{gains.mean():.2f} more than {cheapest}"
+        sentences.append(f"That is {more} ({starts}){chance}.")
     for name in choosing_controllers(summaries, scenario):
-        text = f"{name} earns {reward[name]:.2f}"
-        effort = counted[name] / counted[best]
+        sentence = f"{name} earns {reward[name]:.2f}"
         if low > 0:
-            text += (
-                " and keeps"
-                f" {100 * (reward[name] - reward[cheapest]) / gains.mean():.0f} % of"
-                " that gain"
-            )
+            kept = 100 * (reward[name] - reward[cheapest]) / gains.mean()
+            sentence += f" and keeps {kept:.0f} % of that gain"
+        effort = counted[name] / counted[best]
         if effort < float("inf"):
-            text += f", for {100 * effort:.0f} % of {best}'s planning"
-        sentences.append(f"{text}.")
+            sentence += f", for {100 * effort:.0f} % of {best}'s planning"
+        sentences.append(f"{sentence}.")
+
     hit = rows[rows["collision_episodes"] > 0]
-    collisions = (
-        f"{name} in {row['collision_episodes']} of {row['episodes']}"
-        for name, row in hit.iterrows()
-    )
-    last = (
-        "No controller collides"
-        if hit.empty
-        else f"Episodes with a collision: {', '.join(collisions)}"
-    )
-    return " ".join([*sentences, f"{last}."])
+    if hit.empty:
+        sentences.append("No controller collides.")
+    else:
+        collisions = ", ".join(
+            f"{name} in {row['collision_episodes']} of {row['episodes']}"
+            for name, row in hit.iterrows()
+        )
+        sentences.append(f"Episodes with a collision: {collisions}.")
+    return " ".join(sentences)
 
-
-PUBLISHED_WITH = {
-    "semantics": "released",
-    "solver": "gradient",
-    "human_reward": "published",
-    "costs": "published",
-}
-"""Settings under which results may be compared with the paper's; all other settings are
-the defaults.
-"""
-
-ROWS = """\
-stay_back  naive           -7.73  0.105
-stay_back  turn             2.52  0.212
-stay_back  switching:5      2.34  0.1165
-stay_back  switching:0.4    2.59  0.1318
-merger     naive            1.55  0.084
-merger     turn             1.54  0.163
-merger     tom              5.33  0.380
-merger     switching:0.6    3.53  0.1294
-merger     switching:0.1    5.54  0.1627
-give_way   naive           -0.02  0.092
-give_way   turn             0.34  0.181
-give_way   tom              4.91  0.448
-give_way   switching:0.03   1.78  0.1929
-give_way   switching:0.01   4.44  0.2832"""
 
 PUBLISHED = {
-    (scenario, controller): (float(reward), float(seconds))
-    for scenario, controller, reward, seconds in map(str.split, ROWS.splitlines())
+    ("stay_back", "naive"): (-7.73, 0.105),
+    ("stay_back", "turn"): (2.52, 0.212),
+    ("stay_back", "switching:5"): (2.34, 0.1165),
+    ("stay_back", "switching:0.4"): (2.59, 0.1318),
+    ("merger", "naive"): (1.55, 0.084),
+    ("merger", "turn"): (1.54, 0.163),
+    ("merger", "tom"): (5.33, 0.380),
+    ("merger", "switching:0.6"): (3.53, 0.1294),
+    ("merger", "switching:0.1"): (5.54, 0.1627),
+    ("give_way", "naive"): (-0.02, 0.092),
+    ("give_way", "turn"): (0.34, 0.181),
+    ("give_way", "tom"): (4.91, 0.448),
+    ("give_way", "switching:0.03"): (1.78, 0.1929),
+    ("give_way", "switching:0.01"): (4.44, 0.2832),
 }
 """Published results by scenario and short name of the controller: means per step over
 30 episodes of the robot's reward, and of the seconds of planning and deciding.
@@ -254,11 +228,6 @@ They are from the logs that the authors of Sripathy, Bobu, Brown and Dragan,
 released. The seconds were measured on their laptop. The paper compared no other
 controllers.
 """
-
-NO_PAGE = (
-    "name a directory that `ms-highway compare` wrote; frontier, bench road and irl"
-    " evaluate have no pages"
-)
 
 
 @dataclass(frozen=True)
@@ -288,12 +257,11 @@ class Results:
     def missing(self) -> int:
         """The number of requested episodes that are missing."""
         there = self.summaries.set_index(["scenario", "controller"])["episodes"]
-        asked = {
-            (scenario, name): most
-            for scenario, own in self.settings["asked"].items()
-            for name, most in own.items()
-        }
-        return sum(max(most - there.get(key, 0), 0) for key, most in asked.items())
+        missing = 0
+        for scenario, controllers in self.settings["asked"].items():
+            for name, count in controllers.items():
+                missing += max(count - there.get((scenario, name), 0), 0)
+        return missing
 
     @property
     def common(self) -> dict:
@@ -305,25 +273,31 @@ class Results:
         }
 
     def published(self, scenario: str, controller: str) -> tuple[float, float] | None:
-        """Return the published results of a controller, if these results may be
-        compared with them.
+        """Return the published results of a controller.
+
+        They are None if these results may not be compared with them.
         """
-        return (
-            PUBLISHED.get((scenario, controller))
-            if self.common == PUBLISHED_WITH
-            else None
-        )
+        # Settings of the paper; all other settings have to be the defaults.
+        of_the_paper = {
+            "semantics": "released",
+            "solver": "gradient",
+            "human_reward": "published",
+            "costs": "published",
+        }
+        if self.common != of_the_paper:
+            return None
+        return PUBLISHED.get((scenario, controller))
 
     def config(self, scenario: str) -> dict:
-        """Return the configuration of a scenario's environment, without the controller."""
+        """Return the configuration of a scenario's environment without a controller."""
+        config = self.common
         measured = self.settings.get("measured", {})
-        return self.common | (
-            {"costs": measured[scenario]} if scenario in measured else {}
-        )
+        if scenario in measured:
+            config["costs"] = measured[scenario]
+        return config
 
     def refuse_changed(self, scenario: str, controllers: Sequence[str]) -> None:
-        """Refuse to drive controllers that cannot be driven now, or depend on other
-        content than in these results.
+        """Refuse to drive controllers that cannot be driven as in these results.
 
         Raises:
             ValueError: naming what is missing or has changed.
@@ -332,9 +306,8 @@ class Results:
         refuse_changed_files("these are results", self.settings, remedy)
         before = self.settings.get("sources", {}).get(scenario, {})
         try:
-            now = Comparison(
-                {scenario: controllers}, config=self.config(scenario)
-            ).sources()[scenario]
+            asked = Comparison({scenario: controllers}, config=self.config(scenario))
+            now = asked.sources()[scenario]
         except ValueError as error:
             needed = "import what these results need with --import, or add --no-videos"
             raise ValueError(
@@ -354,7 +327,11 @@ def read_results(directory: Path) -> Results:
     directory_of_results = ResultsDirectory(directory)
     settings = directory_of_results.settings()
     if "asked" not in settings:
-        raise ValueError(f"{directory} holds no results of a comparison; {NO_PAGE}")
+        raise ValueError(
+            f"{directory} holds no results of a comparison; name a directory that"
+            " `ms-highway compare` wrote; frontier, bench road and irl evaluate have no"
+            " pages"
+        )
     records = read_steps(directory, settings)
     if records.empty:
         raise ValueError(

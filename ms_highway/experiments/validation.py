@@ -1,19 +1,20 @@
-"""Replay the reference episodes, to check that this implementation does what the
-paper's released code did.
+"""Replay the reference episodes, which the paper's released code drove.
 
-A reference file SCENARIO__KIND.npz holds the logged run of one controller in paper
-units, with released semantics: ``states`` [episode, step, car, 4] before each step,
-``robot_controls`` [episode, step, 2], ``human_controls`` [episode, step - 1, 2],
-``rewards`` [episode, step] after each step, ``models`` [episode, step] as indices into
-naive, turn, tom, and ``ladder`` [rungs], indices likewise.
+They check that this implementation does the same. A reference file SCENARIO__KIND.npz
+holds the logged run of one controller in paper units, with released semantics:
+``states`` [episode, step, car, 4] before each step, ``robot_controls`` [episode, step,
+2], ``human_controls`` [episode, step - 1, 2], ``rewards`` [episode, step] after each
+step, ``models`` [episode, step] as indices into naive, turn, tom, and ``ladder``
+[rungs], indices likewise.
 """
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Float, Int
 
 from ms_highway.choice.quadratic import Quadratic, Switching
 from ms_highway.choice.rule import (
@@ -34,21 +35,34 @@ from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.ladders import MODELS, PAPER_MODELS, ladder
 from ms_highway.planning.plans import Plan
-from ms_highway.runtime.arrays import Array, State
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import jit_quickly
 from ms_highway.runtime.files import read_arrays, reading
 
-SCENARIOS = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
-ARRAYS = "states", "robot_controls", "human_controls", "rewards", "models", "ladder"
-QUANTILES = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
-SWITCHING = "switching_lambda_"
-MAX_BYTES = 2**27  # of an unpacked file
-LARGEST = 1e38  # bound of numbers in single precision
+
+@dataclass(frozen=True)
+class ReferenceFormat:
+    """Describe reference files."""
+
+    per_step: tuple[str, ...] = ("states", "robot_controls", "rewards", "models")
+    """Arrays with the axes episode and step."""
+    others: tuple[str, ...] = ("human_controls", "ladder")
+    """The other arrays."""
+    switching: str = "switching_lambda_"
+    """How the kind of a run with switching begins, before its lambda."""
+    max_bytes: int = 2**27
+    """Largest size of an unpacked file."""
+    bound: float = 1e38
+    """Bound of all numbers, which fit into single precision."""
+
+
+REFERENCE = ReferenceFormat()
 
 
 def validate(directory: Path) -> dict:
-    """Return the errors of all reference files of a directory: ``{"files": {NAME:
-    ...}}``, see `validate_file`.
+    """Return the errors of all reference files of a directory.
+
+    They are ``{"files": {NAME: ...}}``, see `validate_file`.
 
     Raises:
         FileNotFoundError: if there is no ``*.npz`` there.
@@ -64,8 +78,9 @@ def validate(directory: Path) -> dict:
 
 
 def validate_file(file: Path) -> dict:
-    """Return the errors of one file, in the units of the logs, each as quantiles over
-    all steps of all episodes.
+    """Return the errors of one file, in the units of the logs.
+
+    Each error is given by quantiles over all steps of all episodes.
 
     ``action_error`` is the largest component of the planned robot control, less the
     logged one, in a plan from the logged state with the logged model; ``human_error``
@@ -78,38 +93,42 @@ def validate_file(file: Path) -> dict:
     """
     scenario, episodes = read_episodes(file)
     game = build_game(scenario, "released", unit=1.0)
-    states = episodes["states"].astype(np.float32)
+    states = episodes["states"].astype(np.float32)  # [episodes, steps, cars, 4]
     models = episodes["models"]
+
+    # The robot's plans with the logged models.
     robot = episodes["robot_controls"]
-    human = episodes["human_controls"]
     planned = np.empty(robot.shape)
     for index in np.unique(models):
-        planned[models == index] = _first_controls(
-            MODELS[PAPER_MODELS[index]], game, states[models == index]
-        )
-    swapped = np.concatenate([states[:, :-1, 1::-1], states[:, :-1, 2:]], axis=2)
-    answered = _first_controls(
-        Naive(), swap_roles(game), swapped.reshape(-1, *states.shape[2:])
-    ).reshape(human.shape)
+        model = MODELS[PAPER_MODELS[index]]
+        chosen = models == index
+        planned[chosen] = _first_controls(model, game, states[chosen])
+
+    # The human's plans: as a robot that predicts the other car naively.
+    human = episodes["human_controls"]
+    before = states[:, :-1]
+    swapped = np.concatenate([before[:, :, 1::-1], before[:, :, 2:]], axis=2)
+    swapped = swapped.reshape(-1, *states.shape[2:])
+    human_plans = _first_controls(Naive(), swap_roles(game), swapped)
+
     rewards = np.asarray(_rewards(game.scene, game.robot, states[:, 1:]))
     errors = {
         "action_error": np.abs(planned - robot).max(axis=-1),
         "reward_error": np.abs(rewards - episodes["rewards"][:, :-1]),
-        "human_error": np.abs(answered - human).max(axis=-1),
+        "human_error": np.abs(human_plans.reshape(human.shape) - human).max(axis=-1),
     }
-    report: dict = {
-        name: {
-            place: float(np.quantile(error, share))
-            for place, share in QUANTILES.items()
-        }
-        for name, error in errors.items()
-    }
+    report: dict = {name: _quantiles(error) for name, error in errors.items()}
     kind = file.stem.partition("__")[2]
-    if kind.startswith(SWITCHING):
-        report["decisions"] = _decisions(
-            game, episodes, float(kind.removeprefix(SWITCHING))
-        )
+    if kind.startswith(REFERENCE.switching):
+        price = float(kind.removeprefix(REFERENCE.switching))
+        report["decisions"] = _decisions(game, episodes, price)
     return report
+
+
+def _quantiles(errors: Float[np.ndarray, "*steps"]) -> dict[str, float]:
+    """Return quantiles of errors by name."""
+    shares = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
+    return {name: float(np.quantile(errors, share)) for name, share in shares.items()}
 
 
 def read_episodes(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
@@ -119,39 +138,34 @@ def read_episodes(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
         ValueError: if the file cannot be read, or its name or numbers are not those of
             a reference file.
     """
-    with reading(
-        file,
-        "name the logs that were released, SCENARIO__KIND.npz",
-        " as a reference file",
-    ):
-        arrays = read_arrays(file, MAX_BYTES)
-        episodes = {name: arrays[name] for name in ARRAYS}
+    scenarios = {scenario.name: scenario for scenario in (STAY_BACK, MERGER, GIVE_WAY)}
+    remedy = "name the logs that were released, SCENARIO__KIND.npz"
+    with reading(file, remedy, " as a reference file"):
+        arrays = read_arrays(file, REFERENCE.max_bytes)
+        names = (*REFERENCE.per_step, *REFERENCE.others)
+        episodes = {name: arrays[name] for name in names}
         for name, array in episodes.items():
-            if not (np.abs(array) < LARGEST).all():
+            if not (np.abs(array) < REFERENCE.bound).all():
                 raise ValueError(f"{name} holds numbers that are not finite")
-        if (
-            len(
-                {
-                    episodes[name].shape[:2]
-                    for name in ("states", "robot_controls", "rewards", "models")
-                }
-            )
-            > 1
-        ):
+        lengths = {episodes[name].shape[:2] for name in REFERENCE.per_step}
+        if len(lengths) > 1:
             raise ValueError("its arrays have different numbers of episodes or steps")
-        if not np.isin(episodes["models"], episodes["ladder"]).all() or max(
-            episodes["ladder"]
-        ) >= len(PAPER_MODELS):
+        ladder = episodes["ladder"]
+        on_ladder = np.isin(episodes["models"], ladder).all()
+        if not on_ladder or max(ladder) >= len(PAPER_MODELS):
             raise ValueError(
                 f"its models are not indices into {', '.join(PAPER_MODELS)}"
             )
-        return SCENARIOS[file.stem.partition("__")[0]], episodes
+        return scenarios[file.stem.partition("__")[0]], episodes
 
 
 _rewards = jit_quickly(reward)
 
 
-def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
+def _first_controls(
+    model: HumanModel, game: Game, states: Float[np.ndarray, "states cars 4"]
+) -> Float[np.ndarray, "states 2"]:
+    """Return the first control of the robot's plan from each state."""
     plans = CompiledPlans(game, (model,))
     return np.array([plans.plan(state, [0])[0].plan.robot[0] for state in states])
 
@@ -159,39 +173,47 @@ def _first_controls(model: HumanModel, game: Game, states: State) -> Array:
 def _decisions(
     game: Game, episodes: dict[str, np.ndarray], price: float
 ) -> dict[str, int]:
-    """Count the choices that agree with the logged ones; each is made after the logged
-    step before it.
+    """Count the choices that agree with the logged ones.
+
+    Each choice is made after the logged step before it.
     """
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
     costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
     switching = Switching(
         costs, price, ladder(names), trust_tolerance=Quadratic.released_tolerance
     )
-    logged = np.argmax(
-        episodes["models"][..., None] == episodes["ladder"], axis=-1
-    ).astype(np.int32)
-    happened = [
-        episodes[name].astype(np.float32)
-        for name in ("states", "robot_controls", "human_controls", "rewards")
-    ]
-    before = [numbers[:, : logged.shape[1] - 1] for numbers in (logged, *happened)]
-    chosen = np.array(
-        [_choices(switching, game, *run) for run in zip(*before, strict=True)]
-    )
+
+    # The rung of each logged model, and what happened in each step.
+    on_rung = episodes["models"][..., None] == episodes["ladder"]
+    logged = np.argmax(on_rung, axis=-1).astype(np.int32)  # [episodes, steps]
+    columns = [logged]
+    for name in ("states", "robot_controls", "human_controls", "rewards"):
+        columns.append(episodes[name].astype(np.float32))
+
+    # No choice follows the last step.
+    steps = logged.shape[1] - 1
+    before = [column[:, :steps] for column in columns]
+    runs = zip(*before, strict=True)
+    chosen = np.array([_choices(switching, game, *run) for run in runs])
     return {"agree": int(np.sum(chosen == logged[:, 1:])), "all": chosen.size}
 
 
 @jit_quickly
 def _choices(
-    switching: Rule[GameEvidence], game: Game, rungs: Any, *happened: Any
-) -> Array:
-    """Return the rung that is chosen after each step; each step was driven with the
-    logged rung.
+    switching: Rule[GameEvidence],
+    game: Game,
+    rungs: Int[Array, "steps"],
+    *happened: Float[Array, "steps ..."],
+) -> Int[Array, "steps"]:
+    """Return the rung that is chosen after each step.
+
+    Each step was driven with the logged rung.
     """
 
     def choose(memory: Memory, step: tuple) -> tuple[Memory, Array]:
         rung, state, robot, human, earned = step
-        plan = Plan(robot[None], human[None, None])  # not used
+        # Switching does not use the plan.
+        plan = Plan(robot[None], human[None, None])
         outcome = Outcome(state, state, robot, human[None], earned, plan)
         memory = decide(
             switching, game, memory._replace(rungs=rung[None]), outcome

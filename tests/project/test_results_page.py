@@ -14,7 +14,7 @@ from test_pages import README, RESULTS, TEXTS
 from ms_highway.benchmarks.road.episodes import Block, row, run_episode
 from ms_highway.benchmarks.road.peers import RecordedStart
 from ms_highway.experiments.comparison import Comparison
-from ms_highway.experiments.frontier import INDEX, KEPT_COLUMNS
+from ms_highway.experiments.frontier import Outcomes
 
 KEPT = RESULTS.parent
 COLLECTED = SimpleNamespace(**runpy.run_path(str(KEPT / "collect.py")))
@@ -124,8 +124,8 @@ def test_the_glossary_explains_exactly_the_columns_of_all_csv_files():
     found = {
         *chain(*kept),
         *Comparison({"dense_merge": []}).columns(),
-        *INDEX,
-        *KEPT_COLUMNS,
+        *Outcomes.index,
+        *Outcomes.columns,
         "meta_reward",
         *road,
     }
