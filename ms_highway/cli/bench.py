@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ms_highway.benchmarks.road import (
-    DRIVERS,
+    DEFAULT_DRIVERS,
     EGOS,
     RECORDED,
     RECORDED_TRAFFIC,
@@ -121,7 +121,13 @@ def bench(options: argparse.Namespace) -> None:
         nargs="*",
         metavar="SCENE",
     ),
-    option("--drivers", "drivers to compare", DRIVERS, nargs="+", metavar="DRIVER"),
+    option(
+        "--drivers",
+        "drivers to compare",
+        DEFAULT_DRIVERS,
+        nargs="+",
+        metavar="DRIVER",
+    ),
     number(
         "--seeds", None, "episodes of each driver (default: 20; in recordings, all)"
     ),

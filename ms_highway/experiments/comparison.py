@@ -15,7 +15,6 @@ from ms_highway.envs import ENVIRONMENTS, scenario_name
 from ms_highway.envs.registry import controller_settings, robot_config
 from ms_highway.envs.settings import HUMAN_REWARDS
 from ms_highway.planning.ladders import known_models, rung_names
-from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.definitions import definition_sources
 from ms_highway.runtime.sources import Sources, digest, imported_sources
 
@@ -189,7 +188,7 @@ def paper_controllers(scenario: str) -> list[str]:
 
 
 def by_column(
-    gains: Mapping[str, object], states: Float[Array, "*batch cars 4"]
+    gains: Mapping[str, object], states: Float[np.ndarray, "*batch cars 4"]
 ) -> dict[str, object]:
     """Return the columns of records for gains by model and for states.
 

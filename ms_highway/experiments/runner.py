@@ -471,7 +471,7 @@ def episode(env: gym.Env, seed: int) -> Iterator[dict]:
         yield {
             **info,
             **asdict(info["timing"]),
-            **by_column(estimated, inner.car_states),
+            **by_column(estimated, np.asarray(inner.car_states)),
             "step": step,
             "reward": reward,
         }

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from ms_highway.benchmarks.road import DRIVERS, OTHER_SCENES, SCENES
+from ms_highway.benchmarks.road import DEFAULT_DRIVERS, OTHER_SCENES, SCENES
 from ms_highway.envs.registry import fixed_order_types
 from ms_highway.experiments.frontier import BEST_PER_START
 from ms_highway.experiments.summary import Results
@@ -284,7 +284,7 @@ def in_order(roads: dict[str, dict[str, dict]]) -> dict[str, dict[str, dict]]:
     """Figures of roads in the command's own order of scenes and drivers, other drivers
     last.
     """
-    order = {driver: place for place, driver in enumerate(DRIVERS)}
+    order = {driver: place for place, driver in enumerate(DEFAULT_DRIVERS)}
     return {
         scene: dict(
             sorted(roads[scene].items(), key=lambda one: order.get(one[0], len(order)))

@@ -16,7 +16,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.benchmarks.road import RECORDED
 from ms_highway.benchmarks.road.episodes import Block, run_episode, summary
-from ms_highway.benchmarks.road.export import WHEELBASE
+from ms_highway.benchmarks.road.export import BMW_320I
 from ms_highway.benchmarks.road.measures import Watch, measured
 from ms_highway.benchmarks.road.peers import Peer, starts_of
 
@@ -158,7 +158,7 @@ def test_a_drive_is_exported_as_the_recording_with_the_driven_motion_of_others_a
         episode["distance"], rel=0.02
     )
     turned = [
-        state.velocity / WHEELBASE * np.tan(state.steering_angle)
+        state.velocity / BMW_320I.wheelbase * np.tan(state.steering_angle)
         for state in states[:-1]
     ]
     np.testing.assert_allclose(

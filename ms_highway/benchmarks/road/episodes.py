@@ -2,23 +2,22 @@
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from itertools import count
 from pathlib import Path
 from queue import Queue
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
+from highway_env.envs.common.abstract import AbstractEnv
 
 from ms_highway.benchmarks.road import (
-    HUMAN,
     INTENTIONS,
     RECORDED,
-    RECORDED_ID,
     TRAFFIC,
     driver_config,
 )
@@ -40,15 +39,8 @@ from ms_highway.road.stock import success
 from ms_highway.runtime.files import file_name
 from ms_highway.runtime.jax_settings import cores, low_latency_on_core, own_process
 
-UNPHYSICAL_ACCELERATION = 10.0
-"""Acceleration that exceeds the grip of tyres [m/s^2]."""
-
-MAX_DURATION = 60.0  # s, after which an episode ends in scenes without a time limit
-FRAMES_PER_SECOND = 10  # of films, at most
-MAX_FILM_HEIGHT = 360  # px, as web pages load films
-
-OTHERS: dict[str, type[Peer]] = {"idm": Idm, "commuter": Commuter, HUMAN: Human}
-"""Wrappers of drivers from outside this package, by name."""
+PEERS: dict[str, type[Peer]] = {"idm": Idm, "commuter": Commuter, "human": Human}
+"""Drivers from outside this package, by name."""
 
 
 class Block(NamedTuple):
@@ -84,48 +76,45 @@ def check_driver(name: str) -> None:
     """
     if is_agent(name):
         policy_of(name)
-    elif name not in OTHERS:
+    elif name not in PEERS:
         try:
             RoadSettings.read(driver_config(name))
         except ValueError as error:
-            known = ", ".join(
-                [
-                    *OTHERS,
-                    *DRIVER_VALUES,
-                    f"DRIVER[{INTENTIONS}]",
-                    "AGENT.zip",
-                    "a name of add_driver or add_agent",
-                ]
+            others = (
+                f"DRIVER[{INTENTIONS}]",
+                "AGENT.zip",
+                "a name of add_driver or add_agent",
             )
+            known = ", ".join([*PEERS, *DRIVER_VALUES, *others])
             raise ValueError(
                 f"unknown driver {name!r}; the drivers are {known} ({error})"
             ) from None
 
 
-def make_driver(block: Block, **options: Any) -> gym.Env:
+def make_driver(block: Block, render_mode: str | None = None) -> gym.Env:
     """Make an environment with its driver; its ``step`` ignores the action.
 
     Args:
         block: scene, driver and traffic.
-        options: of ``gym.make``.
+        render_mode: of the environment.
     """
     scene = block.scene
     config = {"other_vehicles_type": TRAFFIC.get(block.traffic)}
     if scene == RECORDED:
-        scene = RECORDED_ID
+        scene = "ms_highway:ms-highway/recorded-v0"
         config = {"traffic": block.traffic, **block.starts[0].config}
     if block.driver in AGENTS:
         config |= AGENTS[block.driver].config
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*is out of date", DeprecationWarning)
-        env = gym.make(scene, config=config, disable_env_checker=True, **options)
+        env = gym.make(
+            scene, config=config, disable_env_checker=True, render_mode=render_mode
+        )
     if is_agent(block.driver):
         return Agent(env, block.driver)
-    return (
-        OTHERS[block.driver](env)
-        if block.driver in OTHERS
-        else drive(env, driver_config(block.driver))
-    )
+    if block.driver in PEERS:
+        return PEERS[block.driver](env)
+    return drive(env, driver_config(block.driver))
 
 
 _kept_driver = cache(make_driver)
@@ -165,37 +154,44 @@ def run_episode(
           ``rungs``, how many cars each rung predicted, summed over decisions.
     """
     env = env or _kept_driver(block)
-    env.reset(
-        seed=seed,
-        options={"config": block.starts[seed].config} if block.starts else None,
-    )
-    inner: Any = env.unwrapped
+    options = {"config": block.starts[seed].config} if block.starts else None
+    env.reset(seed=seed, options=options)
+    inner: AbstractEnv = env.unwrapped
+
+    # What is called after every frame.
+    calls = [] if then is None else [then]
     exported = Drive(inner) if block.exports else None
-    watch = Watch(inner, *filter(None, (then, exported.see if exported else None)))
+    if exported:
+        calls.append(exported.see)
+    watch = Watch(inner, *calls)
+
+    # Scenes without a time limit get one of a minute.
+    longest = max(60.0, inner.config.get("duration", 0.0))
     rewards = []
     roads = []
     done = False
-    longest = max(MAX_DURATION, inner.config.get("duration", 0.0))
     while not done:
         _, reward, terminated, truncated, info = env.step(None)
         rewards.append(float(reward))
         roads.append(info["road"])
         done = terminated or truncated or inner.time >= longest
-    off_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
-    off_road = (
-        inner.off_road
-        if block.scene == RECORDED
-        else bool(watch.off_road or off_at_end)
-    )
+
+    # An episode may end because the ego has left the road in its last frame.
+    left_at_end = terminated and not watch.crashed and not inner.vehicle.on_road
+    if block.scene == RECORDED:
+        off_road = inner.off_road
+    else:
+        off_road = bool(watch.off_road or left_at_end)
     reached = success(inner)
+    if reached is None:
+        reached = not off_road
+
     if exported and block.exports:
         directory = block.exports / block.traffic / file_name(block.driver)
         exported.write(directory, file_name(block.name(seed)))
     return {
         "seed": seed,
-        "success": (
-            not watch.crashed and bool(not off_road if reached is None else reached)
-        ),
+        "success": not watch.crashed and bool(reached),
         "crashed": watch.crashed,
         "at_fault": watch.at_fault,
         "off_road": off_road,
@@ -203,17 +199,27 @@ def run_episode(
         "reward": sum(rewards),
         **watch.motion(),
         **watch.others.figures(),
-        "decisions": [
-            seconds for road in roads for seconds in road["decisions"] if seconds >= 0
-        ],
-        "late": sum(road.get("late", 0) for road in roads),
-        "sources": Counter(
-            source for road in roads for source in road.get("sources", ()) if source
-        ),
-        "rungs": sum(
-            (Counter(road.get("model_counts", {})) for road in roads), Counter[str]()
-        ),
+        **_of_decisions(roads),
     }
+
+
+def _of_decisions(roads: Sequence[Mapping]) -> dict:
+    """Return the figures of the decisions of an episode, see `run_episode`.
+
+    Args:
+        roads: ``info["road"]`` of every step.
+    """
+    decisions: list[float] = []
+    sources = Counter[str]()
+    rungs = Counter[str]()
+    late = 0
+    for road in roads:
+        # The time of a plan that was not made is NaN.
+        decisions += [seconds for seconds in road["decisions"] if seconds >= 0]
+        sources.update(source for source in road.get("sources", ()) if source)
+        rungs += Counter(road.get("model_counts", {}))
+        late += road.get("late", 0)
+    return {"decisions": decisions, "late": late, "sources": sources, "rungs": rungs}
 
 
 def run_blocks(
@@ -222,11 +228,10 @@ def run_blocks(
     films: Path | None = None,
     modules: Sequence[str] = (),
 ) -> Iterator[tuple[Block, list[dict]]]:
-    """Drive the same starts in all blocks; yield each block with its episodes, in the
-    order of blocks and seeds.
+    """Drive the same starts in all blocks; yield each block with its episodes.
 
-    Each block has its own process on one core, because some scenes permanently change
-    the class of other vehicles.
+    They are in the order of blocks and seeds. Each block has its own process on one
+    core, because some scenes permanently change the class of other vehicles.
 
     Args:
         blocks: scenes, drivers and traffic.
@@ -255,9 +260,11 @@ def run_blocks(
 
 
 def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[dict]:
+    """Drive the episodes of a block; film the first success and the first failure."""
     episodes = [run_episode(block, seed) for seed in seeds]
-    firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
     if films is not None:
+        # Of several episodes, the first one remains.
+        firsts = {episode["success"]: episode["seed"] for episode in reversed(episodes)}
         for succeeds, seed in firsts.items():
             outcome = "success" if succeeds else "failure"
             name = f"{block.scene}_{block.driver}_{outcome}_{block.name(seed)}"
@@ -266,33 +273,38 @@ def _run_block(block: Block, seeds: Sequence[int], films: Path | None) -> list[d
 
 
 def film(block: Block, seed: int, path: Path) -> None:
-    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``, which
-    plays at real speed.
+    """Drive an episode again and write it to a video file, ``.gif`` or ``.mp4``.
+
+    It plays at real speed.
 
     Raises:
         OSError: if it cannot be written.
     """
     from ms_highway.visualization.video import scaled, write
 
-    env: Any = make_driver(block, render_mode="rgb_array")
-    frequency = env.unwrapped.config["simulation_frequency"]
-    pictures = []
-    frames = count()
-    every = max(1, round(frequency / FRAMES_PER_SECOND))
+    # A small file, as web pages load it.
+    most_pictures_per_second = 10
+    largest_height = 360
 
-    def picture() -> None:
+    env = make_driver(block, render_mode="rgb_array")
+    inner: AbstractEnv = env.unwrapped
+    frequency = inner.config["simulation_frequency"]
+    pictures: list[np.ndarray] = []
+    frames = count()
+    every = max(1, round(frequency / most_pictures_per_second))
+
+    def take_picture() -> None:
         if next(frames) % every == 0:
-            pictures.append(env.render())
+            picture = env.render()
+            assert isinstance(picture, np.ndarray)
+            pictures.append(picture)
 
     show(env)
-    run_episode(block._replace(exports=None), seed, env, picture)
+    run_episode(block._replace(exports=None), seed, env, take_picture)
     env.close()
     height, width = pictures[0].shape[:2]
-    write(
-        scaled(pictures, width * min(MAX_FILM_HEIGHT, height) // height),
-        path,
-        frequency / every,
-    )
+    film_width = width * min(largest_height, height) // height
+    write(scaled(pictures, film_width), path, frequency / every)
 
 
 def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
@@ -321,13 +333,14 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
       arrive in an episode;
     * ``others_braking``: their hardest braking in any frame [m/s^2];
     * ``episodes``: their number; ``seeds``: the first seed and how many; ``traffic``:
-      type of the other vehicles; ``label``: ``unphysical`` if ``max_acceleration`` is
-      above `UNPHYSICAL_ACCELERATION`.
+      type of the other vehicles; ``label``: ``unphysical`` if ``max_acceleration``
+      exceeds the grip of tyres, 10 m/s^2.
     """
     of = pd.DataFrame(episodes)
     p50, p99 = np.quantile(np.concatenate(of["decisions"]), [0.5, 0.99])
     largest = of["max_acceleration"].max()
-    reached = of["seconds"][of["success"]]
+    unphysical = largest > 10.0
+    seconds_to_goal = of["seconds"][of["success"]]
     figures = {
         **of[["success", "off_road", "stood", "steps"]].mean(),
         "collisions": of["crashed"].sum(),
@@ -341,7 +354,7 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
         "p50_ms": 1e3 * p50,
         "p99_ms": 1e3 * p99,
         "late": of["late"].sum() / of["decisions"].map(len).sum(),
-        "goal_seconds": None if reached.empty else reached.mean(),
+        "goal_seconds": None if seconds_to_goal.empty else seconds_to_goal.mean(),
         "any_collisions": of["collided"].sum(),
         "others_collisions": of["others_collided"].sum(),
         "others_speed": of["others_speed"].mean(),
@@ -352,35 +365,34 @@ def summary(block: Block, episodes: Sequence[Mapping]) -> dict:
         "episodes": len(episodes),
         "seeds": [episodes[0]["seed"], len(episodes)],
         "traffic": block.traffic,
-        "label": "unphysical" if largest > UNPHYSICAL_ACCELERATION else "",
+        "label": "unphysical" if unphysical else "",
     }
+    # JSON has no numbers of NumPy.
     return {
         name: figure.item() if isinstance(figure, np.generic) else figure
         for name, figure in figures.items()
     }
 
 
-def _shares(counters: Iterable[Counter[str]]) -> dict[str, float]:
+def _shares(counters: pd.Series) -> dict[str, float]:
+    """Return the share of each name in the sum of counters."""
     counts = sum(counters, Counter[str]())
     return {name: number / counts.total() for name, number in counts.items()}
 
 
 def row(block: Block, episode: Mapping) -> dict:
     """Return an episode as a row of a table."""
-    numbers = {
-        name: value
-        for name, value in episode.items()
-        if name not in ("decisions", "sources", "rungs")
+    cells: dict = {
+        "scene": block.scene,
+        "driver": block.driver,
+        "traffic": block.traffic,
     }
-    start = {"start": block.name(episode["seed"])} if block.starts else {}
+    if block.starts:
+        cells["start"] = block.name(episode["seed"])
+    for name, value in episode.items():
+        if name not in ("decisions", "sources", "rungs"):
+            cells[name] = value
     times = 1e3 * np.array(episode["decisions"])
-    own = {"scene": block.scene, "driver": block.driver, "traffic": block.traffic}
-    return (
-        own
-        | start
-        | numbers
-        | {
-            "p50_ms": float(np.median(times)),
-            "max_ms": float(times.max()),
-        }
-    )
+    cells["p50_ms"] = float(np.median(times))
+    cells["max_ms"] = float(times.max())
+    return cells

@@ -1,31 +1,50 @@
-"""Measure the motion of the ego and of others in every frame of the simulation, and the
-ego's fault in collisions.
-"""
+"""Measure the motion of vehicles in every frame, and the ego's fault in collisions."""
 
 from collections import deque
 from collections.abc import Callable, Collection
+from dataclasses import dataclass
 from itertools import pairwise
 from math import cos
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.kinematics import Vehicle
+from highway_env.vehicle.objects import RoadObject
+from jaxtyping import Float
 
 from ms_highway.geometry.bodies import separation
 
-LOOK_BACK = 1.0  # s before a collision
-GAP = 0.5  # m, largest gap between lanes where roads meet
-# m, largest distance of cars that have just collided: highway-env pushes them apart
-COLLISION_REACH = 2.0
-LANE_OFFSET = 1.0  # m
-STANDING_SPEED = 1.0  # m/s
-# smallest cosine of the angle between headings of vehicles that go the same way
-SAME_WAY = 0.7
+
+@dataclass(frozen=True)
+class WatchSettings:
+    """Set what counts as following a lane, standing, colliding and leaving the road."""
+
+    look_back: float = 1.0
+    """Time before a collision in which the ego has to keep its lane [s]."""
+    lane_gap: float = 0.5
+    """Largest gap between lanes where roads meet [m]."""
+    collision_reach: float = 2.0
+    """Largest distance of cars that have just collided: highway-env pushes them apart
+    [m].
+    """
+    lane_offset: float = 1.0
+    """Largest distance from the centre of a lane that the ego follows [m]."""
+    standing_speed: float = 1.0
+    """Largest speed of a car that stands [m/s]."""
+    same_way: float = 0.7
+    """Least cosine of the angle between headings of vehicles that go the same way."""
+
+
+WATCH = WatchSettings()
 
 Lane: TypeAlias = tuple[str, str, int] | None
 """Index of a lane in a road network, or None."""
 
 
-def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dict:
+def measured(
+    states: Float[np.ndarray, "frames 4"], time_step: float, crashed: bool = False
+) -> dict[str, float]:
     """Return figures of a car's motion by name.
 
     The acceleration of a frame is the larger of two: the change of ``speed *
@@ -40,22 +59,27 @@ def measured(states: np.ndarray, time_step: float, crashed: bool = False) -> dic
     """
     x, y, heading, speed = np.asarray(states, dtype=float).T
     heading = np.unwrap(heading)
-    acceleration = (
-        np.diff(speed * np.stack([np.cos(heading), np.sin(heading)])) / time_step
-    )
+
+    # Acceleration [2, frames]: change of the velocity vector, and as a rotation.
+    velocity = speed * np.stack([np.cos(heading), np.sin(heading)])
+    acceleration = np.diff(velocity) / time_step
     turning = np.hypot(np.diff(speed), speed[:-1] * np.diff(heading)) / time_step
-    centre = (
-        np.diff(np.diff(np.stack([x, y])[:, : -1 if crashed else None]) / time_step)
-        / time_step
-    )
     jerk = np.diff(acceleration) / time_step
+
+    # Acceleration of the centre, without the last frame if a crash moved the car.
+    positions = np.stack([x, y])
+    if crashed:
+        positions = positions[:, :-1]
+    of_centre = np.diff(np.diff(positions) / time_step) / time_step
+
+    speeds = np.abs(speed[1:])
     numbers = {
         "frames": len(turning),
-        "distance": np.sum(np.abs(speed[1:])) * time_step,
+        "distance": np.sum(speeds) * time_step,
         "seconds": len(turning) * time_step,
-        "stood": np.sum(np.abs(speed[1:]) < STANDING_SPEED) * time_step,
+        "stood": np.sum(speeds < WATCH.standing_speed) * time_step,
         "max_acceleration": np.max([turning, np.hypot(*acceleration)], initial=0.0),
-        "max_acceleration_of_centre": np.max(np.hypot(*centre), initial=0.0),
+        "max_acceleration_of_centre": np.max(np.hypot(*of_centre), initial=0.0),
         "squared_jerk": np.mean(np.sum(jerk**2, axis=0)) if jerk.size else 0.0,
     }
     return {name: np.asarray(number).item() for name, number in numbers.items()}
@@ -72,16 +96,19 @@ class Watch:
         others: what the other vehicles have done.
         crashed: whether the ego has crashed.
         at_fault: whether the ego has crashed by its own fault, see `is_at_fault`.
-        off_road: whether its centre has been off its lane by more than `GAP`, before a
-            crash.
+        off_road: whether its centre has been off its lane by more than
+            `WatchSettings.lane_gap`, before a crash.
     """
 
-    def __init__(self, env: Any, *then: Callable[[], None]) -> None:
-        self.crashed = self.at_fault = self.off_road = False
+    def __init__(self, env: AbstractEnv, *then: Callable[[], None]) -> None:
+        self.crashed = False
+        self.at_fault = False
+        self.off_road = False
         self._env = env
         self._time_step = 1 / env.config["simulation_frequency"]
-        self._states: list[Any] = []
-        self._lanes = deque[Lane](maxlen=max(1, round(LOOK_BACK / self._time_step)))
+        self._states: list[tuple[float, ...]] = []
+        frames = max(1, round(WATCH.look_back / self._time_step))
+        self._lanes = deque[Lane](maxlen=frames)
         self.others = OthersWatch(env)
         self._see()
         self.off_road = False
@@ -95,44 +122,42 @@ class Watch:
             for each in then:
                 each()
 
-        env.road.step = watched  # only of this road: a reset makes a new one
+        # Only of this road: a reset makes a new one.
+        env.road.step = watched
 
-    def motion(self) -> dict:
-        """Return the figures of the ego's motion until now, or until it crashed, see
-        `measured`.
-        """
+    def motion(self) -> dict[str, float]:
+        """Return the figures of `measured` until now, or until the ego crashed."""
         return measured(np.array(self._states), self._time_step, self.crashed)
 
     def _see(self) -> None:
+        """Look at the ego in this frame."""
         ego = self._env.vehicle
-        road = self._env.road
         self._states.append((*ego.position, ego.heading, ego.speed))
         if ego.crashed:
             self.crashed = True
-            others = [
-                one
-                for one in (*road.vehicles, *road.objects)
-                if one is not ego and one.crashed
-            ]
-            near = [one for one in others if _gap(ego, one) < COLLISION_REACH]
-            self.at_fault = is_at_fault(
-                ego,
-                min(near, key=lambda one: _gap(ego, one), default=None),
-                self._lanes,
-            )
+            self.at_fault = is_at_fault(ego, self._touched(), self._lanes)
             return
         _, offset = ego.lane.local_coordinates(ego.position)
-        self._lanes.append(
-            ego.lane_index
-            if abs(offset) < LANE_OFFSET and ego.speed > STANDING_SPEED
-            else None
-        )
-        self.off_road |= not ego.lane.on_lane(ego.position, margin=GAP)
+        in_lane = abs(offset) < WATCH.lane_offset
+        follows = in_lane and ego.speed > WATCH.standing_speed
+        self._lanes.append(ego.lane_index if follows else None)
+        self.off_road |= not ego.lane.on_lane(ego.position, margin=WATCH.lane_gap)
+
+    def _touched(self) -> RoadObject | None:
+        """Return what the ego has collided with, None if it is unknown."""
+        ego = self._env.vehicle
+        road = self._env.road
+        gaps = {
+            other: _gap(ego, other)
+            for other in (*road.vehicles, *road.objects)
+            if other is not ego and other.crashed
+        }
+        near = [other for other in gaps if gaps[other] < WATCH.collision_reach]
+        return min(near, key=gaps.__getitem__, default=None)
 
 
 class OthersWatch:
-    """Watch all vehicles but the ego of a highway-env environment in every frame of the
-    simulation.
+    """Watch all vehicles but the ego of a highway-env environment in every frame.
 
     Vehicles collide if highway-env says so, or if their bodies overlap: in some scenes,
     as in highway-fast-v0, highway-env looks for collisions of the ego only.
@@ -146,20 +171,20 @@ class OthersWatch:
             collided before the ego did.
     """
 
-    def __init__(self, env: Any) -> None:
-        self.collided = self.others_collided = False
+    def __init__(self, env: AbstractEnv) -> None:
+        self.collided = False
+        self.others_collided = False
         self._env = env
         self._arrived: set[int] = set()
         self._distance = 0.0
         self._frames = 0
         self._hardest_braking = 0.0
         self._speeds: dict[int, float] = {}
-        self._seen: list[
-            Any
-        ] = []  # vehicles that have been seen: keeps their ids unique
+        # Vehicles that have been seen; their ids stay unique while they are kept.
+        self._seen: list[Vehicle] = []
         self.see()
 
-    def figures(self) -> dict:
+    def figures(self) -> dict[str, float]:
         """Return the figures of the others until now.
 
         * ``collided``, ``others_collided``: as above;
@@ -192,9 +217,8 @@ class OthersWatch:
         for vehicle in others:
             self._distance += abs(vehicle.speed)
             self._frames += 1
-            braking = (
-                self._speeds.get(id(vehicle), vehicle.speed) - vehicle.speed
-            ) / time_step
+            before = self._speeds.get(id(vehicle), vehicle.speed)
+            braking = (before - vehicle.speed) / time_step
             if not vehicle.crashed:
                 self._hardest_braking = max(self._hardest_braking, braking)
             if id(vehicle) not in self._speeds:
@@ -204,49 +228,46 @@ class OthersWatch:
             if route and len(route) == 1 and vehicle.lane_index[:2] == route[0][:2]:
                 self._arrived.add(id(vehicle))
 
-    def _touching(self, ego: Any, others: list[Any]) -> tuple[bool, bool]:
-        """Return whether the ego collides in this frame, and whether others collide
-        without it.
+    def _touching(self, ego: Vehicle, others: list[Vehicle]) -> tuple[bool, bool]:
+        """Return whether the ego collides in this frame, and whether others do without
+        it.
         """
+        # What highway-env says, without whom the ego has collided with.
         crashed = [vehicle for vehicle in others if vehicle.crashed]
         if ego.crashed:
-            crashed = [
-                vehicle for vehicle in crashed if _gap(ego, vehicle) > COLLISION_REACH
-            ]
+            reach = WATCH.collision_reach
+            crashed = [vehicle for vehicle in crashed if _gap(ego, vehicle) > reach]
+
+        # Which bodies overlap, of all pairs; the ego is the first vehicle.
         vehicles = [ego, *others]
         poses = np.array(
             [(*vehicle.position, vehicle.heading) for vehicle in vehicles]
         ).T
         sizes = np.array([(vehicle.LENGTH, vehicle.WIDTH) for vehicle in vehicles])
         first, second = np.triu_indices(len(vehicles), 1)
-        overlap = (
-            separation(
-                tuple(poses[:, first]),
-                sizes[first],
-                tuple(poses[:, second]),
-                sizes[second],
-            )
-            < 0
+        distances = separation(
+            tuple(poses[:, first]), sizes[first], tuple(poses[:, second]), sizes[second]
         )
+        overlap = distances < 0
         ego_touches = ego.crashed or bool(overlap[first == 0].any())
         return ego_touches, bool(crashed) or bool(overlap[first > 0].any())
 
 
-def _gap(one: Any, other: Any) -> float:
-    """Return the distance between the circumscribed circles of two cars [m], negative
-    if they overlap.
+def _gap(one: RoadObject, other: RoadObject) -> float:
+    """Return the distance between the circumscribed circles of two cars [m].
+
+    It is negative if they overlap.
     """
-    return float(
-        np.linalg.norm(one.position - other.position)
-        - (one.diagonal + other.diagonal) / 2
-    )
+    distance = np.linalg.norm(one.position - other.position)
+    return float(distance - (one.diagonal + other.diagonal) / 2)
 
 
-def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
-    """Return whether the ego is at fault in a collision: always, unless it was
-    rear-ended while it kept its lane.
+def is_at_fault(
+    ego: Vehicle, other: RoadObject | None, lanes: Collection[Lane]
+) -> bool:
+    """Return whether the ego is at fault in a collision.
 
-    The ego was rear-ended if
+    It is, unless it was rear-ended while it kept its lane. The ego was rear-ended if
 
     * the other goes the same way, within about 45 degrees,
     * the ego's centre is ahead of the other's front, along the other's heading, and
@@ -261,25 +282,29 @@ def is_at_fault(ego: Any, other: Any | None, lanes: Collection[Lane]) -> bool:
         ego: a vehicle of highway-env.
         other: the vehicle or object that the ego touches, None if it is unknown.
         lanes: lane of the ego in each frame of the last second before the collision;
-            None where the ego was farther than `LANE_OFFSET` from its centre, or slower
-            than `STANDING_SPEED`.
+            None where the ego was farther than `WatchSettings.lane_offset` from its
+            centre, or slower than `WatchSettings.standing_speed`.
     """
-    if other is None or cos(ego.heading - other.heading) < SAME_WAY:
+    if other is None or cos(ego.heading - other.heading) < WATCH.same_way:
         return True
-    across = np.array([-other.direction[1], other.direction[0]])
+
+    # Seen from the other car: where the ego's centre is, and the point of the front
+    # that is closest to it.
+    forward = other.direction
+    across = np.array([-forward[1], forward[0]])
     away = ego.position - other.position
     half_length = other.LENGTH / 2
     half_width = other.WIDTH / 2
-    closest = (
-        half_length * other.direction
-        + np.clip(away @ across, -half_width, half_width) * across
-    )
-    rear_ended = (
-        away @ other.direction > half_length and (closest - away) @ ego.direction < 0
-    )
+    aside = np.clip(away @ across, -half_width, half_width)
+    closest = half_length * forward + aside * across
+    is_ahead = away @ forward > half_length
+    rear_ended = is_ahead and (closest - away) @ ego.direction < 0
+
+    # Lanes of the same road that follow each other must have the same number.
     followed = [lane for lane in lanes if lane is not None]
-    changed = any(
+    changed_lane = any(
         before[:2] == after[:2] and before != after
         for before, after in pairwise(followed)
     )
-    return bool(not rear_ended or changed or len(followed) < len(lanes))
+    kept_lane = len(followed) == len(lanes) and not changed_lane
+    return bool(not (rear_ended and kept_lane))

@@ -1,19 +1,19 @@
-"""Make drivers from outside this package (highway-env's, trained agents, recorded
-humans), and choose recorded starts.
+"""Make drivers from outside this package, and choose recorded starts.
 
-Starts in recordings are planning problems, or vehicles that change lanes.
+The drivers are highway-env's, trained agents and recorded humans. Starts in recordings
+are planning problems, or vehicles that change lanes.
 """
 
 from collections import Counter
 from copy import deepcopy
-from functools import partial
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from highway_env.envs import ExitEnv
+from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 
@@ -42,43 +42,46 @@ class Peer(gym.Wrapper):
 
     Attributes:
         inner: the environment without its wrappers.
-        seen: the last observation.
+        observation: the last one.
         decisions: durations of decisions in this step that the ego itself makes in its
             frames [s].
     """
 
-    seen: Any
+    observation: object
 
     def __init__(self, env: gym.Env) -> None:
         super().__init__(env)
-        self.inner: Any = env.unwrapped
+        self.inner: AbstractEnv = env.unwrapped
         self.decisions: list[float] = []
 
-    def reset(self, **options: Any) -> tuple[Any, dict]:
+    def reset(
+        self, *, seed: int | None = None, options: dict | None = None
+    ) -> tuple[object, dict]:
         """Start an episode."""
-        self.seen, info = super().reset(**options)
+        self.observation, info = super().reset(seed=seed, options=options)
         self.begin()
-        return self.seen, info
+        return self.observation, info
 
-    def step(self, action: Any = None) -> tuple[Any, Any, bool, bool, dict]:
+    def step(
+        self, action: object = None
+    ) -> tuple[object, SupportsFloat, bool, bool, dict]:
         """Decide, and take a step of the environment."""
         self.decisions.clear()
         start = perf_counter()
         chosen = self.choose()
         seconds = perf_counter() - start
-        self.seen, *outcome, info = super().step(chosen)
-        return (
-            self.seen,
-            *outcome,
-            info | {"road": {"decisions": [*self.decisions] or [seconds]}},
-        )
+        self.observation, reward, terminated, truncated, info = super().step(chosen)
+        # An ego that drives itself has decided in its frames.
+        road = {"decisions": list(self.decisions) or [seconds]}
+        return self.observation, reward, terminated, truncated, {**info, "road": road}
 
     def begin(self) -> None:
         """Prepare an episode after its reset."""
 
-    def choose(self) -> Any:
-        """Return the action of the coming step, by default a placeholder for an ego
-        that drives itself.
+    def choose(self) -> object:
+        """Return the action of the coming step.
+
+        By default, it is a placeholder for an ego that drives itself.
         """
         return placeholder_action(self.inner.action_type)
 
@@ -101,14 +104,16 @@ class Agent(Peer):
         check_spaces(name, env)
         self.policy = policy_of(name)
 
-    def choose(self) -> Any:
+    def choose(self) -> object:
         """Return the agent's action for the last observation."""
-        return self.policy(deepcopy(self.seen))  # which others hold, too
+        # Others hold the observation, too, and the agent may change it.
+        return self.policy(deepcopy(self.observation))
 
 
 class PeerEgo(OfferedSpeeds, IDMVehicle):
-    """A car of highway-env's IDM and MOBIL as the ego, with the attributes of an
-    `MDPVehicle` that rewards read.
+    """A car of highway-env's IDM and MOBIL as the ego.
+
+    It has the attributes of an `MDPVehicle` that rewards read.
 
     Attributes:
         decisions: list to which the ego appends the duration of each of its decisions
@@ -121,7 +126,8 @@ class PeerEgo(OfferedSpeeds, IDMVehicle):
         """Follow and change lanes; the action is ignored."""
         start = perf_counter()
         super().act(action)
-        if action is None:  # in a frame, not when the environment passes on its action
+        # In a frame, not when the environment passes on its action.
+        if action is None:
             self.decisions.append(perf_counter() - start)
 
 
@@ -130,8 +136,7 @@ class CommuterEgo(PeerEgo, CommuterVehicle):
 
 
 class Idm(Peer):
-    """Let highway-env's IDM and MOBIL drive the ego, on a route to the goal if there is
-    one.
+    """Let highway-env's IDM and MOBIL drive the ego, on a route to a goal.
 
     They decide in every frame. The desired speed is that of
     `ms_highway.road.stock.desired_speed_of`, as for this package's drivers; IDM obeys
@@ -146,17 +151,15 @@ class Idm(Peer):
     def begin(self) -> None:
         """Replace the ego by one that drives itself."""
         speed = desired_speed_of(self.env)
-        ego: Any = replace_ego(
+        ego: PeerEgo = replace_ego(
             self.env,
             lambda old: self.ego_type(
                 old.road, old.position, old.heading, old.speed, target_speed=speed
             ),
         )
-        ego.target_speeds = np.array(
-            self.inner.config["action"].get(
-                "target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS
-            )
-        )
+        action = self.inner.config["action"]
+        speeds = action.get("target_speeds", MDPVehicle.DEFAULT_TARGET_SPEEDS)
+        ego.target_speeds = np.array(speeds)
         ego.decisions = self.decisions
         goal = destination_of(self.inner)
         if isinstance(self.inner, ExitEnv):
@@ -164,22 +167,20 @@ class Idm(Peer):
             ego.route = [("0", "1", last - 1), ("1", "2", last), ("2", "exit", 0)]
         elif isinstance(goal, str):
             ego.plan_route_to(goal)
-            ego.route[0] = (*ego.lane_index[:2], None)  # on any lane
+            # The first road may be driven on any lane.
+            ego.route[0] = (*ego.lane_index[:2], None)
 
-    def choose(self) -> Any:
-        """Let the ego decide; with a timed goal, set the speed that reaches it in time."""
+    def choose(self) -> object:
+        """Let the ego decide, at the speed that reaches a timed goal in time."""
         goal = destination_of(self.inner)
         if isinstance(goal, TimedGoal):
-            self.inner.vehicle.target_speed = goal.desired_speed(
-                self.inner.vehicle, self.inner.time
-            )
+            ego = self.inner.vehicle
+            ego.target_speed = goal.desired_speed(ego, self.inner.time)
         return super().choose()
 
 
 class Commuter(Idm):
-    """Let a `ms_highway.CommuterVehicle` drive the ego, as `Idm` does with
-    highway-env's.
-    """
+    """Let a `ms_highway.CommuterVehicle` drive the ego, like `Idm`."""
 
     ego_type = CommuterEgo
 
@@ -199,19 +200,13 @@ class Human(Peer):
                 "the driver human repeats the drive of a recorded vehicle; say --egos"
                 " changing"
             )
-        track: Any = env.scenario.track(env.task.track)
+        track = env.scenario.track(env.task.track)
         replace_ego(
             env, lambda old: ReplayedVehicle(old.road, old.road.recorded(track))
         )
 
 
 # Starts in recordings
-
-LONG_ENOUGH = 2.5  # s, shortest track of a vehicle
-CENTRED, CHANGED = (
-    0.45,
-    0.5,
-)  # widths of a lane: largest final offset from its middle, and smallest lateral motion
 
 
 class RecordedStart(NamedTuple):
@@ -238,11 +233,10 @@ class RecordedStart(NamedTuple):
 
 
 def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
-    """Return the starts in a directory of recordings, by default in that of the
-    package.
+    """Return the starts in a directory of recordings.
 
     Args:
-        data: the directory.
+        data: the directory; None for the recording of the package.
         egos: ``problem`` for all planning problems, ``changing`` for all vehicles that
             change lanes.
 
@@ -250,38 +244,25 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
         ValueError: if there is no recording, no start in any, or a planning problem
             cannot be started.
     """
+    recordings = (
+        [SHIPPED_RECORDING] if data is None else [*map(str, scenario_files(data))]
+    )
     starts: dict[tuple, RecordedStart] = {}
-    for recording in (
-        [SHIPPED_RECORDING] if data is None else map(str, scenario_files(data))
-    ):
+    for recording in recordings:
         scenario = open_recording(recording)
-        if egos == "changing":
-            for track in filter(partial(_changes_lane, scenario), scenario.tracks):
-                place = tuple(
-                    track.samples[0, 1:3].round(2)
-                )  # files of the same group may share tracks
-                start = RecordedStart(
-                    f"{scenario.name}_{track.number}",
-                    recording,
-                    track.number,
-                    track.number,
-                )
-                starts.setdefault((scenario.group, track.number, place), start)
+        if egos == "problem":
+            for problem in scenario.problems:
+                start = _start_of_problem(scenario, recording, problem.number)
+                starts[recording, problem.number] = start
             continue
-        for problem in scenario.problems:
-            name = (
-                scenario.name
-                if len(scenario.problems) == 1
-                else f"{scenario.name}_{problem.number}"
-            )
-            ego = f"problem:{problem.number}"
-            try:
-                replaced = problem_of(scenario, ego).track
-            except ValueError as error:
-                raise ValueError(f"{recording}: {error}") from error
-            starts[recording, problem.number] = RecordedStart(
-                name, recording, ego, replaced
-            )
+        for track in scenario.tracks:
+            if _changes_lane(scenario, track):
+                number = track.number
+                name = f"{scenario.name}_{number}"
+                start = RecordedStart(name, recording, number, replaced=number)
+                # Files of the same group may share tracks.
+                place = tuple(track.samples[0, 1:3].round(2))
+                starts.setdefault((scenario.group, number, place), start)
     if not starts:
         what = "planning problem" if egos == "problem" else "vehicle that changes lanes"
         raise ValueError(
@@ -291,25 +272,47 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
     # Recordings may share an id: their files tell such starts apart.
     names = Counter(start.name for start in starts.values())
-    return [
-        (
-            start
-            if names[start.name] == 1
-            else start._replace(name=f"{start.name}_{Path(start.recording).name}")
-        )
-        for start in starts.values()
-    ]
+    distinct = []
+    for start in starts.values():
+        if names[start.name] > 1:
+            file = Path(start.recording).name
+            start = start._replace(name=f"{start.name}_{file}")
+        distinct.append(start)
+    return distinct
+
+
+def _start_of_problem(
+    scenario: TrafficRecording, recording: str, number: int
+) -> RecordedStart:
+    """Return the start of a planning problem.
+
+    Raises:
+        ValueError: if it cannot be started.
+    """
+    alone = len(scenario.problems) == 1
+    name = scenario.name if alone else f"{scenario.name}_{number}"
+    ego = f"problem:{number}"
+    try:
+        replaced = problem_of(scenario, ego).track
+    except ValueError as error:
+        raise ValueError(f"{recording}: {error}") from error
+    return RecordedStart(name, recording, ego, replaced)
 
 
 def _changes_lane(scenario: TrafficRecording, track: RecordedTrack) -> bool:
     """Return whether the first and the last lane of a vehicle differ."""
+    # The shortest track has 2.5 s, in steps of 0.1 s.
+    least_steps = 25
+    # In widths of a lane: at the end, the vehicle is near the middle of a lane ...
+    largest_offset = 0.45
+    # ... and has moved sideways.
+    least_motion = 0.5
+
     samples = track.samples
-    if not track.drives or samples[-1, 0] - samples[0, 0] < 10 * LONG_ENOUGH:
+    if not track.drives or samples[-1, 0] - samples[0, 0] < least_steps:
         return False
     road = straight_road(scenario)
     begin, end = road.states_of_track(track)[[0, -1], 1] / road.lane_width
-    return (
-        round(begin) != round(end)
-        and abs(end - round(end)) < CENTRED
-        and abs(end - begin) > CHANGED
-    )
+    in_lane = abs(end - round(end)) < largest_offset
+    moved = abs(end - begin) > least_motion
+    return round(begin) != round(end) and in_lane and moved
