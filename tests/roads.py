@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
-from ms_highway.perception.scene import KNOTS, LANES, TRAFFIC, TRAFFIC_KNOTS, RoadScene
+from ms_highway.perception.scene import SHAPE, RoadScene
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.robot_motion import advance, bodies
@@ -16,7 +16,7 @@ from ms_highway.runtime.compilation import jit_quickly
 PLANNING = RoadPlanning()
 WEIGHTS = RoadWeights()
 LANE = RoadPlanning.lane_width
-ONE_LANE = np.tile([[False], [True], [False]], KNOTS)
+ONE_LANE = np.tile([[False], [True], [False]], SHAPE.route_knots)
 
 
 def arc(knots, bend=0.0, d=0.0, start=0.0):
@@ -50,30 +50,32 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
             along the route.
         limit: speed limit [m/s].
     """
-    paths = [arc(TRAFFIC_KNOTS, bend, lane * LANE, s) for s, lane, _ in cars]
-    paths += [arc(TRAFFIC_KNOTS)] * (TRAFFIC - len(cars))
-    present = np.arange(TRAFFIC) < len(cars)
-    states = np.zeros((TRAFFIC, 4), np.float32)
+    paths = [arc(SHAPE.path_knots, bend, lane * LANE, s) for s, lane, _ in cars]
+    paths += [arc(SHAPE.path_knots)] * (SHAPE.paths - len(cars))
+    present = np.arange(SHAPE.paths) < len(cars)
+    states = np.zeros((SHAPE.paths, 4), np.float32)
     states[: len(cars), 3] = [speed for *_, speed in cars]
     return RoadScene(
-        route=arc(KNOTS, bend),
-        lanes=np.tile([[-LANE], [0.0], [LANE]], KNOTS).astype(np.float32),
-        open=np.ones((LANES, KNOTS), bool),
-        edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], KNOTS).astype(np.float32),
-        changes=np.zeros(LANES, np.float32),
+        route=arc(SHAPE.route_knots, bend),
+        lanes=np.tile([[-LANE], [0.0], [LANE]], SHAPE.route_knots).astype(np.float32),
+        open=np.ones((SHAPE.lanes, SHAPE.route_knots), bool),
+        edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], SHAPE.route_knots).astype(
+            np.float32
+        ),
+        changes=np.zeros(SHAPE.lanes, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
         size=np.array([5.0, 2.0], np.float32),
         applied=np.zeros(2, np.float32),
         paths=jax.tree.map(lambda *fields: np.stack(fields), *paths),
         states=states,
-        sizes=np.full((TRAFFIC, 2), [5.0, 2.0], np.float32),
-        limits=np.full(TRAFFIC, limit, np.float32),
-        leaders=np.full(TRAFFIC, -1, np.int32),
-        gaps=np.full(TRAFFIC, np.inf, np.float32),
-        owners=np.where(present, np.arange(TRAFFIC), -1).astype(np.int32),
+        sizes=np.full((SHAPE.paths, 2), [5.0, 2.0], np.float32),
+        limits=np.full(SHAPE.paths, limit, np.float32),
+        leaders=np.full(SHAPE.paths, -1, np.int32),
+        gaps=np.full(SHAPE.paths, np.inf, np.float32),
+        owners=np.where(present, np.arange(SHAPE.paths), -1).astype(np.int32),
         moving=present.copy(),
-        accelerations=np.zeros(TRAFFIC, np.float32),
+        accelerations=np.zeros(SHAPE.paths, np.float32),
     )
 
 

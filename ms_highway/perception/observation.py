@@ -34,7 +34,7 @@ from ms_highway.geometry.road_map import (
     kept,
     road_map,
 )
-from ms_highway.perception.scene import KNOTS, LANES, RoadScene
+from ms_highway.perception.scene import SHAPE, RoadScene
 from ms_highway.perception.traffic_paths import traffic_of
 
 LANE_MARGIN = 6.0  # m, by which lanes are sampled beyond the route beside them
@@ -73,8 +73,8 @@ class Corridor:
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
         return {
-            "lanes": rows[:LANES],
-            "edges": rows[LANES:],
+            "lanes": rows[: SHAPE.lanes],
+            "edges": rows[SHAPE.lanes :],
             "open": self.open[:, nearest],
         }
 
@@ -84,11 +84,11 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return the corridor of the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN, WITHIN)
     ways = curve.ways
-    rows = np.zeros((LANES + 2, ways.size))
-    is_open = np.zeros((LANES, ways.size), dtype=bool)
+    rows = np.zeros((SHAPE.lanes + 2, ways.size))
+    is_open = np.zeros((SHAPE.lanes, ways.size), dtype=bool)
     low = 0
-    lanes = rows[:LANES]
-    edges = rows[LANES:]
+    lanes = rows[: SHAPE.lanes]
+    edges = rows[SHAPE.lanes :]
     for until, (left, own, right) in _sections(chain, goal, ways[-1]):
         here = slice(low, int(np.searchsorted(ways, until)))
         if here.stop <= here.start:
@@ -268,7 +268,7 @@ def observe_road(
     memory.lanes = chain.indices
     memory.way = way
 
-    route = paths_from([around.curve], np.array([s]), KNOTS)
+    route = paths_from([around.curve], np.array([s]), SHAPE.route_knots)
     changes, room = goal.changes(chain, way + vehicle.LENGTH / 2)
     return RoadScene(
         route=Curve(route.x[0], route.y[0], route.heading[0], route.curvature[0]),
@@ -277,7 +277,7 @@ def observe_road(
         robot=np.array([0.0, d, heading, vehicle.speed], np.float32),
         size=np.array([vehicle.LENGTH, vehicle.WIDTH], np.float32),
         applied=np.array(applied, np.float32),
-        **around.at(s - BEHIND + SPACING * np.arange(KNOTS)),
+        **around.at(s - BEHIND + SPACING * np.arange(SHAPE.route_knots)),
         **traffic_of(vehicle, roads, memory.numbers, intentions),
     )
 

@@ -7,7 +7,6 @@ highway-env's: y points to the right of x.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import jax
 from jax import numpy as jnp
@@ -15,35 +14,42 @@ from jaxtyping import Bool, Float, Int
 
 from ms_highway.geometry.bodies import Sizes
 from ms_highway.geometry.curve import Curve, Knots
-from ms_highway.runtime.arrays import Car, Numbers, Scalar, State
+from ms_highway.runtime.arrays import Array, Car, Numbers, Scalar, State
 
-KNOTS = 96
-TRAFFIC_KNOTS = 64
-"""Number of knots of the robot's route (20 m behind to 170 m ahead), and of the paths
-of others (to 106 m ahead).
-"""
 
-LANES = 3
-"""Number of lanes that the robot can choose: left of its own, its own, right of it."""
+@dataclass(frozen=True)
+class SceneShape:
+    """Set the shapes of a scene's arrays, the same for all roads, so that plans are
+    compiled once.
+    """
 
-TRAFFIC = 20
-"""Number of paths of others in a scene."""
+    route_knots: int = 96
+    """Number of knots of the robot's route: 20 m behind to 170 m ahead."""
+    lanes: int = 3
+    """Number of lanes that the robot can choose: its own, and those beside it."""
+    paths: int = 20
+    """Number of paths of others."""
+    path_knots: int = 64
+    """Number of knots of the path of another car: 20 m behind to 106 m ahead."""
 
-Steps = Float[Any, "*shape steps"]
-States = Float[Any, "*plans steps 4"]
-PlanLanes = Int[Any, "*plans"]
-Plans = Float[Any, "plans"]
-PlanFlags = Bool[Any, "plans"]
-EachCar = Float[Any, "*plans traffic"]
-EachFlag = Bool[Any, "*plans traffic"]
-EachStep = Float[Any, "*plans traffic steps"]
 
-World = Float[Any, "*shape 4 steps"]
+SHAPE = SceneShape()
+
+Steps = Float[Array, "*shape steps"]
+States = Float[Array, "*plans steps 4"]
+PlanLanes = Int[Array, "*plans"]
+Plans = Float[Array, "plans"]
+PlanFlags = Bool[Array, "plans"]
+EachCar = Float[Array, "*plans traffic"]
+EachFlag = Bool[Array, "*plans traffic"]
+EachStep = Float[Array, "*plans traffic steps"]
+
+World = Float[Array, "*shape 4 steps"]
 """x, y, heading and speed of cars after each step, in world coordinates."""
 
-Traffic = Float[Any, "traffic"]
-Flags = Bool[Any, "traffic"]
-Places = Int[Any, "traffic"]
+Traffic = Float[Array, "traffic"]
+Flags = Bool[Array, "traffic"]
+Places = Int[Array, "traffic"]
 
 
 @jax.tree_util.register_dataclass
@@ -51,12 +57,12 @@ Places = Int[Any, "traffic"]
 class RoadScene:
     """What the robot observes of a road.
 
-    The traffic is described path by path: `TRAFFIC` paths, several for a car that may
-    go several ways.
+    The traffic is described path by path: `SceneShape.paths` paths, several for a car
+    that may go several ways.
 
     Attributes:
         route: smooth curve along the lanes that the robot follows.
-        lanes: lateral positions of the centres of `LANES` lanes at the knots of the
+        lanes: lateral positions of the centres of three lanes at the knots of the
             route: left, own, right [m].
         open: where the robot may drive on each of these lanes.
         edges: lateral positions of the left and the right edge of the road at the knots

@@ -1,45 +1,80 @@
 """Find the paths that other vehicles may take, and the car ahead on each of them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import cos, dist, sin
 from operator import itemgetter
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypedDict
 
 import numpy as np
 from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from highway_env.vehicle.objects import Landmark, RoadObject
 
-from ms_highway.geometry.bodies import nearest_ahead
+from ms_highway.geometry.bodies import Sizes, nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.geometry.lane_paths import Points, Row, paths_from, project_cars
 from ms_highway.geometry.road_map import LIMIT, Chain, Lane, RoadMap
-from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS, Places
+from ms_highway.perception.scene import SHAPE, Flags, Places, Traffic
+from ms_highway.runtime.arrays import State
 
-AHEAD, ONCOMING, BEHIND_SIGHT = (
-    120.0,
-    250.0,
-    60.0,
-)  # m, range of sight: ahead, for oncoming vehicles, and behind
-MAX_VEHICLES = 16
-MAX_WAYS = 3
-ONCOMING_COSINE = (
-    -0.7
-)  # cosine of the angle between headings below which a vehicle is oncoming
-# m beside a lane that begins where the vehicle's own does, up to which it may follow
-# that lane
-ON_LANE = 1.0
-ALONG_COSINE = cos(
-    0.3
-)  # cosine of the angle to such a lane, above which the vehicle may follow it
-IN_FRONT, LEADER_AHEAD = (
-    1.5,
-    100.0,
-)  # m, lateral and longitudinal distance up to which a vehicle leads another
-MIN_SPEED = 0.1  # m/s, lowest speed limit of pedestrians
-FAR = -1e4  # m, coordinates of unused paths
-UNUSED_SIZE = (5.0, 2.0)  # m, length and width of what has no path
-LINE = SPACING * np.arange(TRAFFIC_KNOTS, dtype=np.float32)
+
+@dataclass(frozen=True)
+class Sight:
+    """Set how far the robot sees, and how many others it predicts."""
+
+    ahead: float = 120.0
+    """Distance ahead [m]."""
+    oncoming: float = 250.0
+    """Distance ahead for oncoming vehicles, which are met at both speeds [m]."""
+    behind: float = 60.0
+    """Distance behind [m]."""
+    vehicles: int = 16
+    """Largest number of vehicles and obstacles, the nearest ones."""
+    paths_of_vehicle: int = 3
+    """Largest number of paths of a vehicle, the smoothest ones."""
+    oncoming_cosine: float = -0.7
+    """Cosine of the angle between headings below which a vehicle is oncoming."""
+
+
+SIGHT = Sight()
+
+
+@dataclass(frozen=True)
+class LaneChoice:
+    """Set which lanes a vehicle may be following, and whom it follows."""
+
+    distance: float = 1.0
+    """Distance to the middle of a lane that begins where the vehicle's own does, up to
+    which it may follow that lane [m].
+    """
+    begins_ahead: float = 1.0
+    """Distance ahead at which such a lane may begin [m]."""
+    cosine: float = cos(0.3)
+    """Cosine of the angle to such a lane above which the vehicle may follow it."""
+    leader_aside: float = 1.5
+    """Lateral distance up to which a vehicle leads another one [m]."""
+    leader_ahead: float = 100.0
+    """Longitudinal distance up to which a vehicle leads another one [m]."""
+    least_limit: float = 0.1
+    """Lowest speed limit of pedestrians [m/s]."""
+
+
+LANE_CHOICE = LaneChoice()
+
+
+class TrafficFields(TypedDict):
+    """The fields of a `RoadScene` that describe others."""
+
+    paths: Curve
+    states: State
+    sizes: Sizes
+    limits: Traffic
+    owners: Places
+    moving: Flags
+    leaders: Places
+    gaps: Traffic
+    accelerations: Traffic
 
 
 class Way(NamedTuple):
@@ -55,7 +90,7 @@ class Way(NamedTuple):
     """
 
     owner: int
-    car: Any
+    car: RoadObject
     moves: bool
     chain: Chain | None
     place: float
@@ -69,7 +104,7 @@ and its lanes.
 
 def traffic_of(
     vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool
-) -> dict[str, Any]:
+) -> TrafficFields:
     """Return the fields of a ``RoadScene`` that describe others, nearest first.
 
     Args:
@@ -78,51 +113,30 @@ def traffic_of(
         numbers: of all vehicles seen so far; new vehicles are added.
         intentions: whether the routes of others are known.
     """
-    ways = _ways(_in_sight(vehicle), numbers, roads, intentions)[:TRAFFIC]
+    ways = _ways(_in_sight(vehicle), numbers, roads, intentions)[: SHAPE.paths]
     used = len(ways)
     cars = [way.car for way in ways]
-    speeds = [car.speed for car in cars]
 
-    # What is known without a path; unused paths are far away.
-    owners = np.full(TRAFFIC, -1, np.int32)
-    moving = np.zeros(TRAFFIC, dtype=bool)
-    positions = np.full((TRAFFIC, 2), FAR)
-    sizes = np.full((TRAFFIC, 2), UNUSED_SIZE, np.float32)
-    limits = np.full(TRAFFIC, LIMIT, np.float32)
-    states = np.zeros((TRAFFIC, 4), np.float32)
+    # What is known without a path. Unused paths are far away, with any size.
+    far = -1e4  # m
+    owners = np.full(SHAPE.paths, -1, np.int32)
+    moving = np.zeros(SHAPE.paths, dtype=bool)
+    positions = np.full((SHAPE.paths, 2), far)
+    sizes = np.full((SHAPE.paths, 2), (5.0, 2.0), np.float32)
+    limits = np.full(SHAPE.paths, LIMIT, np.float32)
+    states = np.zeros((SHAPE.paths, 4), np.float32)
     owners[:used] = [way.owner for way in ways]
     moving[:used] = [way.moves for way in ways]
     positions[:used] = np.reshape([car.position for car in cars], (used, 2))
     sizes[:used] = np.reshape([(car.LENGTH, car.WIDTH) for car in cars], (used, 2))
-    states[:used, 3] = speeds
+    states[:used, 3] = [car.speed for car in cars]
 
-    # Those on lanes: the curves along these, and the cars' places there.
-    unused = LINE + np.float32(FAR), np.full_like(LINE, FAR), 0 * LINE, 0 * LINE
-    knots = np.repeat(np.array(unused)[:, None], TRAFFIC, axis=1)  # [4, paths, knots]
-    on_lanes = [place for place, way in enumerate(ways) if way.chain]
-    spots = [(way.chain, way.place) for way in ways if way.chain]
-    if spots:
-        curves = roads.curves(spots)
-        headings = np.array([cars[place].heading for place in on_lanes], dtype=float)
-        along = np.array([way for _, way in spots])
-        s, d, turned = project_cars(curves, positions[on_lanes], headings, along)
-        path = paths_from(curves, s, TRAFFIC_KNOTS)
-        knots[:, on_lanes] = path.x, path.y, path.heading, path.curvature
-        states[on_lanes, 1] = d
-        states[on_lanes, 2] = turned
-        limits[on_lanes] = [chain.lanes[0].limit for chain, _ in spots]
-
-    # Those that go straight on.
-    for place, way in enumerate(ways):
-        if way.chain is None:
-            x, y = cars[place].position
-            heading = cars[place].heading
-            ahead = LINE - BEHIND
-            knots[0, place] = x + ahead * np.cos(heading)
-            knots[1, place] = y + ahead * np.sin(heading)
-            knots[2, place] = heading
-            knots[3, place] = 0.0
-            limits[place] = max(speeds[place], MIN_SPEED)
+    # The paths: x, y, heading and curvature at their knots, [4, paths, knots].
+    along = SPACING * np.arange(SHAPE.path_knots, dtype=np.float32)
+    unused = along + np.float32(far), np.full_like(along, far), 0 * along, 0 * along
+    knots = np.repeat(np.array(unused)[:, None], SHAPE.paths, axis=1)
+    _follow_lanes(ways, roads, positions, knots, states, limits)
+    _go_straight_on(ways, along - BEHIND, knots, limits)
 
     paths = Curve(*knots)
     leaders, gaps = _leaders_of(paths, positions, owners)
@@ -135,8 +149,65 @@ def traffic_of(
         "moving": moving,
         "leaders": leaders,
         "gaps": gaps,
-        "accelerations": np.zeros(TRAFFIC, np.float32),
+        "accelerations": np.zeros(SHAPE.paths, np.float32),
     }
+
+
+def _follow_lanes(
+    ways: list[Way],
+    roads: RoadMap,
+    positions: Points,
+    knots: np.ndarray,
+    states: np.ndarray,
+    limits: np.ndarray,
+) -> None:
+    """Fill in the paths along lanes, and the places, headings and speed limits of the
+    vehicles there.
+
+    Args:
+        ways: of all vehicles.
+        roads: map of the network.
+        positions: of the vehicles, by path.
+        knots: of all paths, [4, paths, knots], filled in.
+        states: of the vehicles on their paths, filled in.
+        limits: speed limits, filled in.
+    """
+    numbers = [number for number, way in enumerate(ways) if way.chain]
+    spots = [(way.chain, way.place) for way in ways if way.chain]
+    if not spots:
+        return
+    curves = roads.curves(spots)
+    headings = np.array([ways[number].car.heading for number in numbers], dtype=float)
+    places = np.array([place for _, place in spots])
+    s, d, relative = project_cars(curves, positions[numbers], headings, places)
+    path = paths_from(curves, s, SHAPE.path_knots)
+    knots[:, numbers] = path.x, path.y, path.heading, path.curvature
+    states[numbers, 1] = d
+    states[numbers, 2] = relative
+    limits[numbers] = [chain.lanes[0].limit for chain, _ in spots]
+
+
+def _go_straight_on(
+    ways: list[Way], along: Row, knots: np.ndarray, limits: np.ndarray
+) -> None:
+    """Fill in the paths of those that follow no lane, such as pedestrians, and their
+    speed limits.
+
+    Args:
+        ways: of all vehicles.
+        along: positions of the knots along a path [m].
+        knots: of all paths, [4, paths, knots], filled in.
+        limits: speed limits, filled in.
+    """
+    for number, way in enumerate(ways):
+        if way.chain is None:
+            x, y = way.car.position
+            heading = way.car.heading
+            knots[0, number] = x + along * np.cos(heading)
+            knots[1, number] = y + along * np.sin(heading)
+            knots[2, number] = heading
+            knots[3, number] = 0.0
+            limits[number] = max(way.car.speed, LANE_CHOICE.least_limit)
 
 
 def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
@@ -146,19 +217,20 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
     seen = []
     for car in others:
         distance = dist(car.position, vehicle.position)
-        if (car.position - vehicle.position) @ vehicle.direction <= 0:
-            reach = BEHIND_SIGHT
-        elif (
-            isinstance(car, Vehicle)
-            and car.direction @ vehicle.direction < ONCOMING_COSINE
-        ):
-            reach = ONCOMING
-        else:
-            reach = AHEAD
-        if distance < reach:
+        if distance < _range_of_sight(vehicle, car):
             seen.append((distance, car))
     seen.sort(key=itemgetter(0))
-    return [car for _, car in seen[:MAX_VEHICLES]]
+    return [car for _, car in seen[: SIGHT.vehicles]]
+
+
+def _range_of_sight(vehicle: Vehicle, car: RoadObject) -> float:
+    """Return the distance up to which a vehicle sees another one or an obstacle [m]."""
+    if (car.position - vehicle.position) @ vehicle.direction <= 0:
+        return SIGHT.behind
+    if not isinstance(car, Vehicle):
+        return SIGHT.ahead
+    cosine = car.direction @ vehicle.direction
+    return SIGHT.oncoming if cosine < SIGHT.oncoming_cosine else SIGHT.ahead
 
 
 def _ways(
@@ -182,7 +254,7 @@ def _ways(
         first = len(spots)
         if getattr(car, "follows_lanes", True):
             own = roads.lanes[car.lane_index]
-            for lane in _begun(car, own) if drives else [own]:
+            for lane in _possible_lanes(car, own) if drives else [own]:
                 place, _ = lane.shape.local_coordinates(car.position)
                 spots.append((lane, float(place)))
         seen.append((car, drives, range(first, len(spots))))
@@ -202,24 +274,26 @@ def _ways(
         if intentions:
             options = _along_route(options, getattr(car, "route", None) or ())
         options.sort(key=itemgetter(0))
-        for _, place, chain in options[: MAX_WAYS if drives else 1]:
+        most = SIGHT.paths_of_vehicle if drives else 1
+        for _, place, chain in options[:most]:
             found.append(Way(number, car, drives, chain, place))
     return found
 
 
 def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Option]:
     """Return the options that share most of their roads with a route."""
-    legs = {leg[:2] for leg in route}
-    shared = [
-        sum(index[:2] in legs for index in chain.indices) for *_, chain in options
-    ]
-    most = max(shared)
-    return [
-        option for option, count in zip(options, shared, strict=True) if count == most
-    ]
+    roads = {index[:2] for index in route}
+
+    def shared(option: Option) -> int:
+        """Return how many of the option's lanes are on roads of the route."""
+        _, _, chain = option
+        return sum(index[:2] in roads for index in chain.indices)
+
+    most = max(map(shared, options))
+    return [option for option in options if shared(option) == most]
 
 
-def _begun(car: Vehicle, own: Lane) -> list[Lane]:
+def _possible_lanes(car: Vehicle, own: Lane) -> list[Lane]:
     """Return the lanes that a vehicle may be following.
 
     These are its own lane, all lanes from the same node as long as its position and
@@ -233,13 +307,16 @@ def _begun(car: Vehicle, own: Lane) -> list[Lane]:
             other = own.roads.lanes[own.start, end, min(own.number, len(lanes) - 1)]
             s, d = other.shape.local_coordinates(car.position)
             cosine = cos(car.heading - other.shape.heading_at(s))
-            near = s >= -1.0 and abs(d) < max(ON_LANE, abs(aside))
-            if near and cosine > ALONG_COSINE:
+            has_begun = s >= -LANE_CHOICE.begins_ahead
+            is_near = abs(d) < max(LANE_CHOICE.distance, abs(aside))
+            if has_begun and is_near and cosine > LANE_CHOICE.cosine:
                 found.append(other)
-    drift = aside + car.speed * sin(car.heading - own.shape.heading_at(place))
-    changes = abs(drift) > own.shape.width_at(place) / 2
-    neighbour = own.beside(1 if drift > 0 else -1) if changes else own.refuge
-    return [*found, neighbour] if neighbour else found
+
+    # Where it will be in a second, across its own lane.
+    later = aside + car.speed * sin(car.heading - own.shape.heading_at(place))
+    changes_lane = abs(later) > own.shape.width_at(place) / 2
+    beside = own.beside(1 if later > 0 else -1) if changes_lane else own.refuge
+    return [*found, beside] if beside else found
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:
@@ -249,9 +326,10 @@ def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row
     Of the paths of the car ahead, the index is that of the first.
     """
     s, d, _ = paths.project(cars[:, 0], cars[:, 1], 0.0)  # [paths, cars]
-    others = (owners[:, None] != owners) & (owners >= 0)
-    nearest, leads = nearest_ahead(
-        s, others & (np.abs(d) < IN_FRONT) & (s < LEADER_AHEAD)
-    )
-    gaps = np.where(leads, s[np.arange(TRAFFIC), nearest], 0.0)
-    return np.where(leads, nearest, -1).astype(np.int32), gaps.astype(np.float32)
+    is_other = (owners[:, None] != owners) & (owners >= 0)
+    is_in_front = np.abs(d) < LANE_CHOICE.leader_aside
+    may_lead = is_other & is_in_front & (s < LANE_CHOICE.leader_ahead)
+    nearest, has_leader = nearest_ahead(s, may_lead)
+    leaders = np.where(has_leader, nearest, -1)
+    gaps = np.where(has_leader, s[np.arange(SHAPE.paths), nearest], 0.0)
+    return leaders.astype(np.int32), gaps.astype(np.float32)

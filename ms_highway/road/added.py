@@ -11,7 +11,7 @@ from ms_highway.game.game import Game
 from ms_highway.game.scenario import driving_game
 from ms_highway.loop.controller import HUMAN_DRIVERS, FunctionDriver, function_names
 from ms_highway.numerics.solvers import PlanningSettings
-from ms_highway.perception.scene import TRAFFIC, RoadScene
+from ms_highway.perception.scene import SHAPE, RoadScene
 from ms_highway.road.driver import RoadStep
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_view import RoadView, look
@@ -81,11 +81,11 @@ class AddedRoadDriver:
         return RoadStep(
             control,
             plan=control[None],
-            humans=np.zeros((TRAFFIC, 0, 2)),
-            models=("",) * TRAFFIC,
+            humans=np.zeros((SHAPE.paths, 0, 2)),
+            models=("",) * SHAPE.paths,
             planning_seconds=answer.planning_seconds,
             ladder=TRAFFIC_MODELS,
-            gains=np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan),
+            gains=np.full((SHAPE.paths, len(TRAFFIC_MODELS)), np.nan),
             path=np.zeros((0, 3)),
             owners=np.asarray(scene.owners),
             source="driver",

@@ -97,7 +97,7 @@ class Commuter:
         discomfort = self._comfort * jnp.sum(scaled**2) / 2
         return jnp.sum(self.rewards(self.move(scaled))) - discomfort
 
-    def rewards(self, motion: Steps) -> Steps:
+    def rewards(self, motion: jax.Array) -> Steps:
         """Return the reward after each step, given s and speed after each step [2,
         steps].
         """
@@ -116,13 +116,13 @@ class Commuter:
         """
         effects = self._effects  # [2, steps, accelerations]
 
-        def slope(motion: Steps) -> Steps:
+        def slope(motion: jax.Array) -> Steps:
             return along_fields(self.rewards, motion)[1]
 
-        # Slopes [2, steps] and curvatures [2, 2, steps] of the rewards in s and speed.
-        slopes, curvatures = along_fields(slope, self.move(scaled))
-        curved_effects = jnp.sum(curvatures[..., None] * effects, axis=1)
-        hessian = jnp.tensordot(effects, curved_effects, ((0, 1), (0, 1)))
+        # Slopes [2, steps] and second derivatives [2, 2, steps] in s and speed.
+        slopes, seconds = along_fields(slope, self.move(scaled))
+        by_effect = jnp.sum(seconds[..., None] * effects, axis=1)
+        hessian = jnp.tensordot(effects, by_effect, ((0, 1), (0, 1)))
         gradient = jnp.tensordot(slopes, effects, 2)
 
         # The discomfort is quadratic in the accelerations.
@@ -161,7 +161,7 @@ class Commuter:
         change = speed - earlier(self.state[3], speed)
         return change / (self.planning.time_step * RESPONSES.acceleration_unit)
 
-    def move(self, scaled: Vector) -> Steps:
+    def move(self, scaled: Vector) -> jax.Array:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
         at_constant_speed = jnp.stack(
@@ -170,9 +170,10 @@ class Commuter:
         return at_constant_speed + jnp.sum(self._effects * scaled, axis=-1)
 
     @property
-    def lateral_position(self) -> Steps:
+    def lateral_position(self) -> jax.Array:
         """Lateral position after each step."""
-        return self.state[1] * jnp.exp(-self.planning.times / RESPONSES.path_time)
+        decay = jnp.exp(-self.planning.times / RESPONSES.path_time)
+        return jnp.multiply(self.state[1], decay)
 
     @property
     def _effects(self) -> Numbers:

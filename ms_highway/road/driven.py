@@ -24,7 +24,7 @@ from highway_env.utils import lmap
 from ms_highway.envs.configuration import as_json, checked_seed
 from ms_highway.envs.game_env import GameEnv
 from ms_highway.envs.viewer import enable_pictures
-from ms_highway.perception.scene import TRAFFIC
+from ms_highway.perception.scene import SHAPE
 from ms_highway.road.graphics import show
 from ms_highway.road.robot import RoadRobot
 from ms_highway.road.settings import RoadSettings
@@ -249,11 +249,11 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         the same types before the first one.
         """
         last = robot.last_step
-        gains = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
+        gains = np.full((SHAPE.paths, len(TRAFFIC_MODELS)), np.nan)
         if last is not None and last.gains is not None:
             gains = np.asarray(last.gains)
         return {
-            "models": ("",) * TRAFFIC if last is None else last.models,
+            "models": ("",) * SHAPE.paths if last is None else last.models,
             "source": "" if last is None else last.source,
             "broken": False if last is None else last.broken,
             "failed": False if last is None else last.failed,

@@ -28,7 +28,7 @@ from ms_highway.loop.step import (
     StepResult,
     step,
 )
-from ms_highway.perception.scene import TRAFFIC, Places, RoadScene
+from ms_highway.perception.scene import SHAPE, Places, RoadScene
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.plans import Plan
 from ms_highway.road.plan import Proposed, RoadPlan, no_plan, propose_road, respond_road
@@ -147,7 +147,7 @@ class RoadDriver:
         self._numbers = np.array(numbers, np.int32)
 
         # What the last step was worth and took.
-        self._unknown_worth = np.zeros(TRAFFIC, np.float32)  # before any proposal
+        self._unknown_worth = np.zeros(SHAPE.paths, np.float32)  # before any proposal
         self._started = 0.0
         self._proposing_seconds = 0.0
         self._responding_seconds = 0.0
@@ -166,7 +166,7 @@ class RoadDriver:
 
     def _compile(self, scene: RoadScene, carry: RoadCarry) -> float:
         """Compile what the step calls, and return the seconds that it took."""
-        all_naive = np.zeros(TRAFFIC, np.int32)
+        all_naive = np.zeros(SHAPE.paths, np.int32)
         warm_start = carry.fallback.warm_start
         seconds = warm_up(
             plan_of, scene, self.planning, self.weights, all_naive, warm_start
@@ -180,7 +180,7 @@ class RoadDriver:
         nobody moved.
         """
         last = no_plan(self.planning)
-        memory = first_memory(self.rule, TRAFFIC)
+        memory = first_memory(self.rule, SHAPE.paths)
         nothing_left = RemainingPlan(_alone(last.controls), 0, memory.rungs, last)
         outcome = Outcome(
             scene,
@@ -209,7 +209,7 @@ class RoadDriver:
 
         # The gains that the rule has estimated, for the models on its ladder.
         estimated = np.asarray(result.choice.decision.gains)
-        gains = np.full((TRAFFIC, len(TRAFFIC_MODELS)), np.nan)
+        gains = np.full((SHAPE.paths, len(TRAFFIC_MODELS)), np.nan)
         gains[:, self._numbers] = np.where(
             estimated == NOT_ESTIMATED, np.nan, estimated
         )
@@ -260,7 +260,7 @@ class RoadDriver:
 
         # Propose with the chosen models or, if they are yet to be chosen, with the
         # first one.
-        all_first = np.zeros(TRAFFIC, np.int32)
+        all_first = np.zeros(SHAPE.paths, np.int32)
         rungs = all_first if decision is None else decision.memory.rungs
         models = self._models(scene, rungs)
         last = carry.fallback.warm_start.later()

@@ -193,7 +193,7 @@ def _best_responses(
     scene = situation.scene
     planning = situation.planning
 
-    def add_response(car: Places, found: EachStep) -> EachStep:
+    def add_response(car: Index, found: jax.Array) -> jax.Array:
         """Add the response of a car to each plan."""
 
         def respond(robot: Numbers, others: Numbers) -> Numbers:

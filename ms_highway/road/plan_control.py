@@ -4,6 +4,7 @@ yield to crossing cars, and slow down for bends.
 
 from dataclasses import dataclass
 
+import jax
 from jax import numpy as jnp
 
 from ms_highway.game.car_following import FREE_GAP, ROBOT_IDM
@@ -48,7 +49,7 @@ class SpeedControl:
     """
 
 
-SPEED = SpeedControl()
+SPEED_CONTROL = SpeedControl()
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ class Yielding:
     """Distance behind a crossing car from which on it has passed [m]."""
 
 
-YIELDING = Yielding()
+YIELD = Yielding()
 
 
 @dataclass(frozen=True)
@@ -89,10 +90,10 @@ class LaneChangeGaps:
     """Time before it passes them within which it does not change lanes either [s]."""
 
 
-LANE_CHANGE = LaneChangeGaps()
+LANE_CHANGE_GAPS = LaneChangeGaps()
 
 
-def target_of(situation: Situation, plan: Profiles, s: Scalar) -> Scalar:
+def target_of(situation: Situation, plan: Profiles, s: Scalar) -> jax.Array:
     """Return the lateral position that a plan steers to where its rear axle is at s
     [m].
     """
@@ -118,13 +119,15 @@ def plan_control(
     cap = _speed_cap(situation, plan, car, traffic)
     behind = _behind_others(situation, plan, car, traffic, target, distance)
     desired = jnp.minimum(cap, plan.speed_share * situation.planning.desired_speed)
-    free = SPEED.gain * (desired - speed)
-    free = jnp.clip(free, -SPEED.acceleration, SPEED.acceleration)
+    free = SPEED_CONTROL.gain * (desired - speed)
+    free = jnp.clip(free, -SPEED_CONTROL.acceleration, SPEED_CONTROL.acceleration)
     following = jnp.minimum(free, behind)
 
     # Plans of constant acceleration keep to the cap, too.
     acceleration = jnp.where(plan.follows, following, plan.acceleration)
-    to_cap = jnp.maximum((cap - speed) / SPEED.preview, -situation.planning.grip)
+    to_cap = jnp.maximum(
+        (cap - speed) / SPEED_CONTROL.preview, -situation.planning.grip
+    )
     return jnp.stack([curvature, jnp.minimum(acceleration, to_cap)])
 
 
@@ -151,8 +154,8 @@ def _lateral_goal(
     # The gap that the plan needs to cars in its target lane.
     overtakes = ~plan.follows & (distance > 0)
     closing_speed = jnp.maximum(speed - traffic.forward_speed, 0.0)
-    passing = jnp.where(overtakes, LANE_CHANGE.passing_time * closing_speed, 0.0)
-    needed = contact_length + LANE_CHANGE.gap + passing
+    passing = jnp.where(overtakes, LANE_CHANGE_GAPS.passing_time * closing_speed, 0.0)
+    needed = contact_length + LANE_CHANGE_GAPS.gap + passing
 
     in_target_lane = (
         (jnp.abs(traffic.d - target) < lateral_gap)
@@ -212,17 +215,17 @@ def _speed_cap(
 
     # Crossing cars that arrive soon, and have not passed.
     way = jnp.maximum(crossings.begin - lengths / 2, 0.0)
-    arrival = way / jnp.maximum(scene.states[:, 3], YIELDING.lowest_speed)
-    passed = crossings.last + lengths / 2 + YIELDING.passed_margin
+    arrival = way / jnp.maximum(scene.states[:, 3], YIELD.lowest_speed)
+    passed = crossings.last + lengths / 2 + YIELD.passed_margin
     is_awaited = scene.moving & (arrival < plan.yield_time) & (traffic.along < passed)
 
     # Braking by b stops within x from the speed sqrt(2 b x).
     front = s + scene.size[0]
     to_line = crossings.line - front
     is_before_line = to_line > -CROSSING.waiting_gap
-    room = lowest(to_line, is_awaited & is_before_line) - SPEED.preview * speed
+    room = lowest(to_line, is_awaited & is_before_line) - SPEED_CONTROL.preview * speed
     stopping = jnp.sqrt(2 * planning.stopping * planning.grip * jnp.maximum(room, 0.0))
-    bends = interpolate(situation.speed_caps, s + SPEED.preview * speed)
+    bends = interpolate(situation.speed_caps, s + SPEED_CONTROL.preview * speed)
     return jnp.minimum(bends, stopping)
 
 
@@ -254,13 +257,13 @@ def _behind_others(
 
     # Either follow by the Intelligent Driver Model ...
     following = ROBOT_IDM.acceleration(
-        speed, SPEED.unlimited_speed, gap, traffic.forward_speed
+        speed, SPEED_CONTROL.unlimited_speed, gap, traffic.forward_speed
     )
-    following = SPEED.following_gain * following.min()
+    following = SPEED_CONTROL.following_gain * following.min()
 
     # ... or drive at the highest speed from which gentle braking still suffices.
     room = gap - CLOSING_UP.gap - CLOSING_UP.reaction_time * speed
     gained = jnp.sqrt(2 * CLOSING_UP.braking * jnp.maximum(room, 0.0))
     safe_speed = traffic.forward_speed + gained
-    closing_up = (safe_speed.min() - speed) / SPEED.preview
+    closing_up = (safe_speed.min() - speed) / SPEED_CONTROL.preview
     return jnp.where(plan.closes_up, closing_up, following)

@@ -7,13 +7,13 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import LANES, PlanFlags, PlanLanes, Plans
+from ms_highway.perception.scene import SHAPE, PlanFlags, PlanLanes, Plans
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 
 
-class Profiles(NamedTuple):
-    """Rules by which plans drive.
+class Profile(NamedTuple):
+    """A rule by which a plan drives.
 
     Attributes:
         lane: target lane, 0 to 2.
@@ -26,18 +26,32 @@ class Profiles(NamedTuple):
         side: on which the plan passes obstacles in the robot's lane: -1, left; 1,
             right; 0, it does not pass them.
         is_given: whether the controls are given, as the rest of the last plan.
-        controls: the given controls.
     """
 
-    lane: PlanLanes = 1
-    speed_share: Plans = 1.0
-    acceleration: Plans = 0.0
-    follows: PlanFlags = True
-    closes_up: PlanFlags = False
-    yield_time: Plans = 0.0
-    side: PlanLanes = 0
-    is_given: PlanFlags = False
-    controls: ManyControls | float = 0.0
+    lane: int = 1
+    speed_share: float = 1.0
+    acceleration: float = 0.0
+    follows: bool = True
+    closes_up: bool = False
+    yield_time: float = 0.0
+    side: int = 0
+    is_given: bool = False
+
+
+class Profiles(NamedTuple):
+    """Rules by which plans drive, as arrays: the fields of `Profile`, and the controls
+    of those whose controls are given.
+    """
+
+    lane: PlanLanes
+    speed_share: Plans
+    acceleration: Plans
+    follows: PlanFlags
+    closes_up: PlanFlags
+    yield_time: Plans
+    side: PlanLanes
+    is_given: PlanFlags
+    controls: ManyControls
 
 
 @dataclass(frozen=True)
@@ -51,22 +65,22 @@ class ProposalSettings:
     obstacle_speeds: tuple[float, ...] = (0.3, 0.6)
     """Speeds at which plans pass an obstacle [share of the desired speed]."""
 
-    def profiles(self) -> tuple[Profiles, ...]:
+    def profiles(self) -> tuple[Profile, ...]:
         """Return all proposals; the last is the rest of the last plan."""
         found = []
-        for lane in range(LANES):
-            found.append(Profiles(lane=lane))
-            found.append(Profiles(lane=lane, closes_up=True))
+        for lane in range(SHAPE.lanes):
+            found.append(Profile(lane=lane))
+            found.append(Profile(lane=lane, closes_up=True))
             for acceleration in self.accelerations:
                 found.append(
-                    Profiles(lane=lane, acceleration=acceleration, follows=False)
+                    Profile(lane=lane, acceleration=acceleration, follows=False)
                 )
         for seconds in self.yield_times:
-            found.append(Profiles(yield_time=seconds))
+            found.append(Profile(yield_time=seconds))
         for share in self.obstacle_speeds:
             for side in (-1, 1):
-                found.append(Profiles(speed_share=share, side=side))
-        found.append(Profiles(follows=False, is_given=True))
+                found.append(Profile(speed_share=share, side=side))
+        found.append(Profile(follows=False, is_given=True))
         return tuple(found)
 
 
@@ -124,9 +138,12 @@ def proposals(situation: Situation, last: LastPlan) -> Profiles:
     nearest = jnp.argmin(jnp.abs(interpolate(scene.lanes, s) - d))
     last_lane = jnp.where(jnp.isfinite(d), nearest, 1)
 
-    plans = Profiles(*map(jnp.asarray, zip(*PROFILES, strict=True)))
-    return plans._replace(
-        lane=jnp.where(plans.is_given, jnp.where(side == 0, last_lane, 1), plans.lane),
-        side=jnp.where(plans.is_given, side, plans.side),
-        controls=jnp.broadcast_to(last.controls, (len(PROFILES), *last.controls.shape)),
+    # The fields of all profiles; the last plan has the controls.
+    controls = jnp.broadcast_to(last.controls, (len(PROFILES), *last.controls.shape))
+    fields = [*map(jnp.asarray, zip(*PROFILES, strict=True)), controls]
+    profiles = Profiles._make(fields)
+    target_lane = jnp.where(side == 0, last_lane, 1)
+    return profiles._replace(
+        lane=jnp.where(profiles.is_given, target_lane, profiles.lane),
+        side=jnp.where(profiles.is_given, side, profiles.side),
     )

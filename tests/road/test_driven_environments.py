@@ -18,7 +18,7 @@ from ms_highway.benchmarks.road.episodes import (
 from ms_highway.envs.colors import PALETTE, model_color
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.loop.controller import HUMAN_DRIVERS
-from ms_highway.perception.scene import TRAFFIC
+from ms_highway.perception.scene import SHAPE
 from ms_highway.road.graphics import PANEL
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
@@ -188,7 +188,8 @@ def test_vector_environments_collect_infos_although_episodes_end_at_different_ti
     envs.envs[1].unwrapped.config["duration"] = 3
     infos = [envs.step(envs.action_space.sample())[4]["road"] for _ in range(4)]
     assert all(
-        len(road["models"][0]) == TRAFFIC and road["gains"]["idm"].shape == (2, TRAFFIC)
+        len(road["models"][0]) == SHAPE.paths
+        and road["gains"]["idm"].shape == (2, SHAPE.paths)
         for road in infos
     )
 

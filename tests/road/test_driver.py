@@ -10,7 +10,7 @@ from roads import PLANNING, WEIGHTS, scene_of
 
 from ms_highway.choice.budget import deciding_in
 from ms_highway.choice.rule import first_memory
-from ms_highway.perception.scene import TRAFFIC
+from ms_highway.perception.scene import SHAPE
 from ms_highway.planning.costs import Costs
 from ms_highway.road.driver import decided, proposed_for
 from ms_highway.road.plan import no_plan
@@ -34,7 +34,7 @@ def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_pre
         scene, changes=np.array([2.0, 1.0, 0.0], np.float32), room=np.float32(30.0)
     )
     proposed = proposed_for(
-        scene, PLANNING, WEIGHTS, np.zeros(TRAFFIC, np.int32), no_plan(PLANNING)
+        scene, PLANNING, WEIGHTS, np.zeros(SHAPE.paths, np.int32), no_plan(PLANNING)
     )
     first, *others = np.asarray(proposed.worth)
     assert first > 0
@@ -45,14 +45,14 @@ def chosen(driver, costs, gains, spent=0.0):
     """Numbers of the models that a driver's rule chooses."""
     rule = deciding_in(RoadSettings.read({"driver": driver}).rule(costs), lambda: spent)
     rungs = decided(
-        rule, first_memory(rule, TRAFFIC), gains.astype(np.float32)
+        rule, first_memory(rule, SHAPE.paths), gains.astype(np.float32)
     ).memory.rungs
     return np.array([TRAFFIC_MODELS.index(rule.ladder[rung].name) for rung in rungs])
 
 
 def test_a_higher_price_never_buys_a_more_expensive_model():
     costs = Costs(0.004, np.array([0.0, 0.0001, 0.003]), TRAFFIC_MODELS)
-    gains = np.geomspace(1e-3, 30.0, TRAFFIC)
+    gains = np.geomspace(1e-3, 30.0, SHAPE.paths)
     found = np.array(
         [chosen(f"priced:{price}", costs, gains) for price in np.geomspace(1, 1e6, 30)]
     )
@@ -65,17 +65,19 @@ def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_c
         {"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}}
     )
     rule = settings.rule(Costs(0.0, np.array([0.0, 0.0001, 0.0002]), TRAFFIC_MODELS))
-    memory = first_memory(rule, TRAFFIC)
-    bounds = np.full(TRAFFIC, 5.0, np.float32)
+    memory = first_memory(rule, SHAPE.paths)
+    bounds = np.full(SHAPE.paths, 5.0, np.float32)
     for _ in range(3):
         memory = decided(rule, memory, bounds).memory
-        assert [rule.ladder[rung].name for rung in memory.rungs] == ["tom"] * TRAFFIC
+        assert [rule.ladder[rung].name for rung in memory.rungs] == [
+            "tom"
+        ] * SHAPE.paths
 
 
 def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
     random = np.random.default_rng(0)
     for _ in range(20):
-        gains = np.maximum(random.normal(size=TRAFFIC), 0.0)
+        gains = np.maximum(random.normal(size=SHAPE.paths), 0.0)
         each = np.cumsum([0.0, *random.uniform(0, 0.002, 2)])
         costs = Costs(random.uniform(0, 0.004), each, TRAFFIC_MODELS)
         milliseconds = random.uniform(0, 20)
@@ -129,7 +131,7 @@ def test_nothing_compiles_after_the_first_step(caplog):
 
 def test_if_plans_are_not_finite_the_robot_follows_the_rest_of_the_last_plan_and_then_brakes():
     unknown = np.where(
-        np.arange(TRAFFIC)[:, None] == 0, np.float32(np.nan), SCENE.states
+        np.arange(SHAPE.paths)[:, None] == 0, np.float32(np.nan), SCENE.states
     )
     robot = driver()
     assert robot.step(BLIND).source == "braking"

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from roads import LANE, ONE_LANE, PLANNING, WEIGHTS, coming, execute, scene_of, wrecked
 
-from ms_highway.perception.scene import KNOTS, TRAFFIC
+from ms_highway.perception.scene import SHAPE
 from ms_highway.road.driver import plan_of
 from ms_highway.road.plan import no_plan
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
@@ -19,7 +19,7 @@ UNHURRIED = replace(PLANNING, desired_speed=10.0)
 
 def planned(scene, model="idm", planning=PLANNING, last=None):
     """The best plan if one model predicts everybody."""
-    models = np.full(TRAFFIC, TRAFFIC_MODELS.index(model), np.int32)
+    models = np.full(SHAPE.paths, TRAFFIC_MODELS.index(model), np.int32)
     return jax.tree.map(
         np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING))
     )
@@ -28,7 +28,8 @@ def planned(scene, model="idm", planning=PLANNING, last=None):
 def between(scene, left, right):
     """The scene, on a road with these edges, in lanes."""
     return replace(
-        scene, edges=np.tile(np.float32([[left * LANE], [right * LANE]]), KNOTS)
+        scene,
+        edges=np.tile(np.float32([[left * LANE], [right * LANE]]), SHAPE.route_knots),
     )
 
 
@@ -107,7 +108,7 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
     cut_in = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
     kept = -14.0 + 26.0 * PLANNING.steps * PLANNING.time_step
     assert final_place(cut_in, "naive") == pytest.approx(kept, abs=0.05)
-    observed = np.where(np.arange(TRAFFIC) == 0, -6.0, 0.0).astype(
+    observed = np.where(np.arange(SHAPE.paths) == 0, -6.0, 0.0).astype(
         np.float32
     )  # as its model predicts
     braking = final_place(replace(cut_in, accelerations=observed), "tom")

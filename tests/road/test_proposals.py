@@ -10,7 +10,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 from roads import PLANNING, WEIGHTS, execute, scene_of
 
 from ms_highway.geometry.curve import BEHIND, SPACING
-from ms_highway.perception.scene import TRAFFIC, TRAFFIC_KNOTS
+from ms_highway.perception.scene import SHAPE
 from ms_highway.road.following import Behaviour
 from ms_highway.road.proposals import LAST_PLAN, PROFILES, Profiles
 from ms_highway.road.score import score
@@ -21,15 +21,17 @@ from ms_highway.runtime.compilation import jit_quickly
 GRIP = float(PLANNING.grip)
 DT = PLANNING.time_step
 STEPS = PLANNING.steps
-FOLLOWING = np.ones(TRAFFIC, bool)
-NOBODY = np.zeros(TRAFFIC, bool)
+FOLLOWING = np.ones(SHAPE.paths, bool)
+NOBODY = np.zeros(SHAPE.paths, bool)
 KEEPING = (0.0, 0.0)
 HARD = (0.0, -4.9)
 LENGTHS = (
     5.0 + 2.5
 )  # m, from a centre to the rear axle of the car behind where the bumpers touch
 PROPOSALS = len(PROFILES)
-PLANS = Profiles(*map(np.array, zip(*PROFILES, strict=True)))
+PLANS = Profiles(
+    *map(np.array, zip(*PROFILES, strict=True)), controls=np.zeros(PROPOSALS)
+)
 GIVEN = jax.tree.map(lambda field: np.repeat(field[LAST_PLAN:], PROPOSALS), PLANS)
 OWN = 1
 RIGHT = 2
@@ -52,7 +54,7 @@ def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
 
     Others follow by IDM or have an acceleration.
     """
-    nothing = np.zeros((PROPOSALS, TRAFFIC, STEPS), np.float32)
+    nothing = np.zeros((PROPOSALS, SHAPE.paths, STEPS), np.float32)
     others = Behaviour(
         follows,
         nothing + np.float32(acceleration),
@@ -144,7 +146,7 @@ def before(place):
 def crossing():
     """A robot, and a car that will cross its route from the left at s = 40."""
     scene = scene_of(robot=(26.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 10.0)])
-    along = np.arange(TRAFFIC_KNOTS) * SPACING - BEHIND - 12.0
+    along = np.arange(SHAPE.path_knots) * SPACING - BEHIND - 12.0
     scene.paths.x[0], scene.paths.y[0], scene.paths.heading[0] = 40.0, along, np.pi / 2
     return scene
 
