@@ -4,13 +4,14 @@ step by pure functions.
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from highway_env.envs.common.action import ContinuousAction
 from jax import numpy as jnp
-from jaxtyping import Int
+from jax.typing import ArrayLike
+from jaxtyping import Float, Int
 
 from ms_highway.choice.rule import compilable, in_ladder, in_order
 from ms_highway.envs import ENVIRONMENTS, scenario_name
@@ -38,24 +39,33 @@ from ms_highway.loop.controller import traceable
 from ms_highway.loop.records import DECIDES, Episodes, Loop, Records
 from ms_highway.planning.human_models import Naive, warn_of_limits
 from ms_highway.planning.ladders import cheapest_first, human_model
-from ms_highway.runtime.arrays import Array, State
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import usual_chunk
 from ms_highway.runtime.jax_settings import single_precision
 from ms_highway.runtime.process import refuse_after_fork
 
 
-def overridden(kind: type[InteractionEnv]) -> list[str]:
-    """Return the names of what a class overrides although a simulation does not call
-    it, see `ms_highway.envs.configured.not_simulated`.
+def refuse_own_steps(kind: type[InteractionEnv]) -> None:
+    """Refuse a class that overrides what a simulation does not call, see
+    `ms_highway.envs.configured.not_simulated`.
+
+    Raises:
+        ValueError: naming what the class overrides.
     """
-    names: list[str] = []
+    own: list[str] = []
     for name in dir(InteractionEnv):
         usual = getattr(InteractionEnv, name)
         method = usual.fget if isinstance(usual, property) else usual
         marked = getattr(method, "not_simulated", False)
         if marked and getattr(kind, name) is not usual:
-            names.append(name)
-    return names
+            own.append(name)
+    if own:
+        names = ", ".join(own)
+        raise ValueError(
+            f"{kind.__name__} has its own {names}, which a simulation does not call;"
+            " change its scenario, its game (in `configure`) or `draw_episode`, or use"
+            " `compare`"
+        )
 
 
 def shared_loop(
@@ -72,19 +82,8 @@ def shared_loop(
         ValueError: for environments that override a part of a step, for controllers
             that do not predict, and for costs that must be measured.
     """
-    kind = type(environment)
     settings = environment.settings
-    own = overridden(kind)
-    if own:
-        reason = (
-            f"{kind.__name__} has its own {', '.join(own)}, which a simulation does not"
-            " call"
-        )
-        remedy = (
-            "change its scenario, its game (in `configure`) or `draw_episode`, or use"
-            " `compare`"
-        )
-        raise ValueError(f"{reason}; {remedy}")
+    refuse_own_steps(type(environment))
     if not all(each.predicts for each in controllers):
         raise ValueError(
             "a function or an agent that drives the robot is not simulated; use"
@@ -95,12 +94,17 @@ def shared_loop(
         raise ValueError(
             f"costs are 'measured', and a simulation cannot measure plans; {remedy}"
         )
-    used = {name for each in controllers for name in each.names()}
-    used |= {Naive.name for each in controllers if each.belief and not each.chooses}
-    used -= {model.name for model in settings.models}
+
+    # Models beside the ladder: those of orders, and the one that a belief compares the
+    # others with.
+    names = {name for each in controllers for name in each.names()}
+    if any(each.belief and not each.chooses for each in controllers):
+        names.add(Naive.name)
+    names -= {model.name for model in settings.models}
+    others = tuple(map(human_model, cheapest_first(names)))
+
     drivers = tuple(traceable(name, environment.game) for name in settings.drivers)
     order = in_order(np.zeros((1, 1), np.int32), settings.models)
-    others = tuple(map(human_model, cheapest_first(used)))
     return Loop(
         environment.game,
         order,
@@ -129,19 +133,21 @@ def draw_start(
     start, weights = environment.draw_episode(random)
     drivers = environment.draw_drivers(random)
     steps = environment.episode_steps
-    rungs = np.full((steps, environment.settings.humans), DECIDES, np.int32)
+
+    # The number of every human's model in every step, [steps, humans]. An order keeps
+    # its last models.
+    schedule = np.full((steps, environment.settings.humans), DECIDES, np.int32)
     if isinstance(settings.chooser, ModelOrder):
         names = [model.name for model in loop.models]
         known = environment.settings.start(steps, random)  # type: ignore[arg-type]
-        table = settings.chooser.table(known)
-        rungs[:] = np.vectorize(names.index)(table)[
-            np.minimum(np.arange(steps), len(table) - 1)
-        ]
+        numbers = np.vectorize(names.index)(settings.chooser.table(known))
+        schedule[:] = numbers[np.minimum(np.arange(steps), len(numbers) - 1)]
+
     price = np.nan_to_num(np.float32(settings.price))  # an order has none
     return Episodes(
         start.astype(np.float32),
         np.asarray(price),
-        rungs,
+        schedule,
         loop.game.robot.weights,
         weights,
         drivers,
@@ -166,6 +172,12 @@ class EnvState(NamedTuple):
     now: EpisodeCarry
     episodes: Episodes
     step: Int[Array, "episodes"]
+
+
+FunctionalStep: TypeAlias = tuple[
+    EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]
+]
+"""State, observation, reward, terminated, truncated and info."""
 
 
 class FunctionalEnv:
@@ -209,22 +221,18 @@ class FunctionalEnv:
         self.observation_space = env.observation_space
         self.action_space = env.action_space
         self.steps = env.episode_steps
-        settings = env.settings
-        controller = env.settings.controller
         kind = env.action_type
         self.agent_drives = type(kind) is ContinuousAction and kind.size == 2
-        if not (self.agent_drives or isinstance(kind, Autopilot)):
-            known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
-            raise ValueError(
-                f"config['action'] is {env.config['action']}; what is simulated is"
-                f" {known}"
-            )
-        if type(env.observation_type) not in (CarStates, SceneStates):
-            place = f"config['observation'] is {env.config['observation']}"
-            raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
+        self._check_spaces()
+
+        # What the episodes share.
+        settings = env.settings
+        controller = settings.controller
         self.loop = shared_loop(env, [controller])
         self.costs = settings.counted.select(model.name for model in self.loop.models)
         self._price = float(env.config["action"].get("lambda", 0.0))
+
+        # A start that is drawn for it shows what is wrong.
         random = np.random.default_rng(0)
         game = self.loop.game
         start, _ = env.draw_episode(random)
@@ -236,11 +244,27 @@ class FunctionalEnv:
             rule = compilable(controller.rule(settings.start(self.steps, random)))
             self.loop = replace(self.loop, rule=rule)
 
+    def _check_spaces(self) -> None:
+        """Refuse actions and observations that are not simulated.
+
+        Raises:
+            ValueError: for such actions or observations.
+        """
+        env = self.environment
+        if not (self.agent_drives or isinstance(env.action_type, Autopilot)):
+            known = "Autopilot, HumanModelAction, or a ContinuousAction of both axes"
+            raise ValueError(
+                f"config['action'] is {env.config['action']}; what is simulated is"
+                f" {known}"
+            )
+        if type(env.observation_type) not in (CarStates, SceneStates):
+            place = f"config['observation'] is {env.config['observation']}"
+            raise ValueError(f"{place}; what is simulated is CarStates or SceneStates")
+
     def draw(self, random: Random) -> Episodes:
         """Draw an episode, see `draw_start`."""
-        return draw_start(
-            self.environment, self.loop, self.environment.settings.controller, random
-        )
+        controller = self.environment.settings.controller
+        return draw_start(self.environment, self.loop, controller, random)
 
     def reset(self, key: jax.Array) -> tuple[EnvState, jax.Array]:
         """Start an episode that is drawn by a key of `jax.random`; return its state and
@@ -258,24 +282,17 @@ class FunctionalEnv:
                 " jax.random.key(0)"
             )
         with single_precision():
-            episodes = jax.tree.map(
-                lambda part: jnp.asarray(part)[None], self.draw(TracedRandom(key))
-            )
-            state = EnvState(
-                begin_episodes(self.loop, episodes.starts),
-                episodes,
-                jnp.zeros(1, jnp.int32),
-            )
-            state = jax.tree.map(
-                jnp.asarray, state
-            )  # arrays of JAX from the start, as after a step
+            # One episode, along a first axis of length 1.
+            drawn = self.draw(TracedRandom(key))
+            episodes = jax.tree.map(lambda part: jnp.asarray(part)[None], drawn)
+            now = begin_episodes(self.loop, episodes.starts)
+            state = EnvState(now, episodes, jnp.zeros(1, jnp.int32))
+
+            # Arrays of JAX from the start, as after a step.
+            state = jax.tree.map(jnp.asarray, state)
             return state, self.observe(episodes.starts, state.step)[0]
 
-    def step(
-        self, state: EnvState, action: Any
-    ) -> tuple[
-        EnvState, jax.Array, jax.Array, jax.Array, jax.Array, dict[str, jax.Array]
-    ]:
+    def step(self, state: EnvState, action: ArrayLike) -> FunctionalStep:
         """Return state, observation, reward, terminated, truncated and info after an
         action.
 
@@ -290,7 +307,16 @@ class FunctionalEnv:
                 also as `ms_highway.loop.batch.checked_records` does.
         """
         refuse_after_fork()
-        action = jnp.asarray(action)
+        checked = self._checked_action(jnp.asarray(action))
+        with single_precision():
+            return self._step(state, checked)
+
+    def _checked_action(self, action: jax.Array) -> jax.Array:
+        """Return an action with the type of numbers that are simulated.
+
+        Raises:
+            ValueError: for an impossible action, see `step`.
+        """
         space = self.action_space
         if action.shape != space.shape:
             raise ValueError(
@@ -302,37 +328,34 @@ class FunctionalEnv:
                 f"the action has numbers of type {action.dtype}; give one of {space},"
                 " of whole numbers"
             )
-        if not isinstance(action, jax.core.Tracer) and not is_possible(
-            space, np.asarray(action).astype(space.dtype)
-        ):
-            raise ValueError(f"action {action} is impossible; give one of {space}")
-        action = action.astype(np.float32 if self.agent_drives else np.int32)
-        with single_precision():
-            return self._step(state, action)
+        if not isinstance(action, jax.core.Tracer):
+            numbers = np.asarray(action).astype(space.dtype)
+            if not is_possible(space, numbers):
+                raise ValueError(f"action {action} is impossible; give one of {space}")
+        return action.astype(np.float32 if self.agent_drives else np.int32)
 
-    def _step(
-        self, state: EnvState, action: jax.Array
-    ) -> tuple[EnvState, Any, Any, Any, Any, dict[str, jax.Array]]:
+    def _step(self, state: EnvState, action: jax.Array) -> FunctionalStep:
         """Step in single precision, see `step`."""
         if not self.agent_drives:
             action = jnp.clip(action, 0, len(self.loop.rule.ladder) - 1)
-        given = self.given(state, action[None])
-        now, records = step_episodes(
-            replace(self.loop, chunk=1), state.episodes, state.now, given
-        )
+        inputs = self.step_inputs(state, action[None])
+        loop = replace(self.loop, chunk=1)
+        now, records = step_episodes(loop, state.episodes, state.now, inputs)
+
+        # A wrong choice of a user's rule is an error, or NaN where JAX traces.
         if not isinstance(records.reward, jax.core.Tracer):
             records = checked_records(self.loop, records)
         elif records.chosen is not None:
             wrong = ~in_ladder(self.loop.rule, records.chosen).all(axis=-1)
             records = records._replace(reward=jnp.where(wrong, jnp.nan, records.reward))
+
         state = state._replace(now=now, step=state.step + 1)
         info = {"collision": records.collision[0], "states": records.states[0]}
-        observation, reward, terminated, truncated = (
-            part[0] for part in self.outcome(records, state.step)
-        )
+        outcome = self.outcome(records, state.step)
+        observation, reward, terminated, truncated = (part[0] for part in outcome)
         return state, observation, reward, terminated, truncated, info
 
-    def given(self, state: EnvState, actions: Any) -> StepInputs:
+    def step_inputs(self, state: EnvState, actions: Array) -> StepInputs:
         """Return the models of the humans, or the robot's controls, for a step of n
         environments.
 
@@ -341,38 +364,35 @@ class FunctionalEnv:
             actions: of the agent, n of its action space.
         """
         schedules = state.episodes.schedules
-        scheduled = schedules[
-            np.arange(len(schedules)), state.step.clip(max=self.steps - 1)
-        ]
+        step = state.step.clip(max=self.steps - 1)
+        scheduled = schedules[np.arange(len(schedules)), step]
+        kind = self.environment.action_type
         if self.agent_drives:
             robots = state.now.state[:, 0]
-            controls = executed_controls(
-                self.environment.action_type, self.loop.game.world, actions, robots
-            )
+            controls = executed_controls(kind, self.loop.game.world, actions, robots)
             return StepInputs(scheduled, controls=controls.astype(np.float32))
-        if isinstance(self.environment.action_type, HumanModelAction):
+        if isinstance(kind, HumanModelAction):
             scheduled = actions.reshape(scheduled.shape).astype(np.int32)
         return StepInputs(scheduled)
 
-    def outcome(self, records: Records, steps: Any) -> tuple[Any, Any, Any, Any]:
+    def outcome(
+        self, records: Records, steps: Int[Array, "envs"]
+    ) -> tuple[Array, Array, Array, Array]:
         """Return observations, rewards, terminated and truncated of n environments that
         have done these steps [n].
         """
         reward = records.reward
         if self._price:
             reward = reward - self._price * self.costs.total(records.planned)
-        terminated = records.collision & bool(
-            self.environment.config["terminate_on_collision"]
-        )
-        return (
-            self.observe(records.states, steps),
-            reward,
-            terminated,
-            steps >= self.steps,
-        )
+        ends = bool(self.environment.config["terminate_on_collision"])
+        terminated = records.collision & ends
+        observations = self.observe(records.states, steps)
+        return observations, reward, terminated, steps >= self.steps
 
-    def observe(self, states: State, steps: Any) -> Any:
-        """Return the observations of states [n, cars, 4] of environments that have done
-        these steps [n].
+    def observe(
+        self, states: Float[Array, "envs cars 4"], steps: Int[Array, "envs"]
+    ) -> Float[Array, "envs cars columns"]:
+        """Return the observations of states of environments that have done these
+        steps.
         """
         return self.environment.observation_type.of(states, 1 - steps / self.steps)

@@ -1,11 +1,11 @@
 """Step thousands of environments at once in JAX, as Gymnasium's vector environments."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from math import ceil
-from typing import Any
+from typing import cast
 
 import jax
 import numpy as np
@@ -71,33 +71,15 @@ class InteractionVectorEnv(VectorEnv):
                 f"render_mode is {render_mode!r}; nothing is rendered here, make a"
                 " single environment"
             )
-        if (
-            isinstance(num_envs, bool)
-            or not isinstance(num_envs, (int, np.integer))
-            or num_envs < 1
-        ):
+        whole = isinstance(num_envs, (int, np.integer))
+        if isinstance(num_envs, bool) or not whole or num_envs < 1:
             raise ValueError(
                 f"num_envs is {num_envs!r}; give a whole number of environments from"
                 " 1 on"
             )
-        known = {
-            name: each
-            for each in AutoresetMode
-            for name in (each, each.name, each.value)
-        }
-        mode = (
-            known.get(autoreset_mode)
-            if isinstance(autoreset_mode, (str, AutoresetMode))
-            else None
-        )
-        if mode is None:
-            names = ", ".join(f"AutoresetMode.{each.name}" for each in AutoresetMode)
-            raise ValueError(
-                f"autoreset_mode is {autoreset_mode!r}; give one of {names}"
-            )
+        self.autoreset_mode = autoreset_mode_of(autoreset_mode)
         self._functions = functions = FunctionalEnv(environment, config)
         self.num_envs = int(num_envs)
-        self.autoreset_mode = mode
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
         self.single_observation_space = functions.observation_space
         self.single_action_space = functions.action_space
@@ -105,7 +87,7 @@ class InteractionVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.episode_steps = functions.steps
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self._state: Any = None  # before the first reset, then an `EnvState`
+        self._state: EnvState | None = None  # before the first reset
         self._ended = np.ones(num_envs, bool)
         self._collided = np.zeros(num_envs, bool)
         self._groups = min(cores(), ceil(num_envs / functions.loop.together))
@@ -116,7 +98,7 @@ class InteractionVectorEnv(VectorEnv):
         *,
         seed: int | Sequence[int | None] | None = None,
         options: Config | None = None,
-    ) -> tuple[np.ndarray, dict[str, Any]]:
+    ) -> tuple[np.ndarray, Config]:
         """Start episodes: of all environments, or of those in
         ``options["reset_mask"]``.
 
@@ -133,6 +115,20 @@ class InteractionVectorEnv(VectorEnv):
         refuse_after_fork()
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
+        mask = self._reset_mask(options)
+        for place, own in enumerate(self._seeds(seed)):
+            if own is not None and mask[place]:
+                self._randoms[place] = seeding.np_random(own)[0]
+        observations = self._renew(mask)
+        return observations, _masked(self._info_at_reset(), mask)
+
+    def _reset_mask(self, options: Config) -> np.ndarray:
+        """Return which environments to reset, by default all.
+
+        Raises:
+            ValueError: for a mask that is empty, has another shape, or leaves out
+                environments that were never reset.
+        """
         mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
@@ -144,37 +140,33 @@ class InteractionVectorEnv(VectorEnv):
                 "options['reset_mask'] leaves environments out that were never reset;"
                 " reset all of them"
             )
-        several = (
-            seed.ndim > 0
-            if isinstance(seed, np.ndarray)
-            else isinstance(seed, Sequence)
-        )
-        if (
-            isinstance(seed, (Sequence, np.ndarray))
-            and several
-            and not isinstance(seed, str)
-        ):
-            seeds = [checked_seed(each) for each in seed]
+        return mask
+
+    def _seeds(self, seed: object) -> list[int | None]:
+        """Return the seed of each environment; None for one that is drawn.
+
+        Raises:
+            ValueError: for impossible seeds, or another number of them.
+        """
+        is_array = isinstance(seed, np.ndarray) and seed.ndim > 0
+        is_sequence = isinstance(seed, Sequence) and not isinstance(seed, str)
+        if is_array or is_sequence:
+            seeds = [checked_seed(each) for each in cast(Sequence[object], seed)]
         else:
             first = checked_seed(seed)
-            seeds = [
-                None if first is None else first + place
-                for place in range(self.num_envs)
-            ]
+            seeds = [None] * self.num_envs
+            if first is not None:
+                seeds = [first + place for place in range(self.num_envs)]
         if len(seeds) != self.num_envs:
             raise ValueError(
                 f"there are {len(seeds)} seeds for {self.num_envs} environments; give"
                 " one for each"
             )
-        for place, own in enumerate(seeds):
-            if own is not None and mask[place]:
-                self._randoms[place] = seeding.np_random(own)[0]
-        observations = self._renew(mask)
-        return observations, _masked(self._info_at_reset(), mask)
+        return seeds
 
     def step(
-        self, actions: Any
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        self, actions: object
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Config]:
         """Step all environments; reset those whose episode has ended as the autoreset
         mode says.
 
@@ -183,156 +175,156 @@ class InteractionVectorEnv(VectorEnv):
                 and after the end of an episode in the mode without automatic resets.
         """
         refuse_after_fork()  # the threads of the process before are missing here, too
-        if self._ended.any() and (
-            self._state is None or self.autoreset_mode is AutoresetMode.DISABLED
-        ):
+        state = self._state
+        disabled = self.autoreset_mode is AutoresetMode.DISABLED
+        if state is None or (disabled and self._ended.any()):
             places = np.flatnonzero(self._ended).tolist()
             raise ValueError(
                 f"environments must be reset before they can step: {places}"
             )
-        actions = np.asarray(actions)
-        space = self.action_space
-        possible = (
-            actions.shape == space.shape
-            and actions.dtype.kind in "biuf"
-            and np.isfinite(actions).all()
-        )
-        if (
-            possible and not self._functions.agent_drives
-        ):  # an agent's controls beyond the ends are clipped
-            numbers = actions.astype(space.dtype)
-            possible = space.contains(numbers) and (numbers == actions).all()
-        if not possible:
-            raise ValueError(
-                f"the actions {actions!r} are impossible; give some of {space}"
-            )
+        numbers = self._checked_actions(np.asarray(actions))
+
+        # All environments are computed; those whose episode has ended do not count.
         stepped = ~self._ended
-        records = self._advance(actions)
-        self._collided |= records.collision
-        seen, rewards, terminated, truncated = self._functions.outcome(
-            records, self._state.step
-        )
+        state, records = self._advance(state, numbers)
+        self._state = state
+        self._collided = self._collided | records.collision
+        outcome = self._functions.outcome(records, state.step)
+        observations, rewards, terminated, truncated = map(np.asarray, outcome)
         rewards = np.where(stepped, rewards, 0.0).astype(np.float64)
         terminated = terminated & stepped
         truncated = truncated & stepped
         values = self._info(records)
         self._ended = terminated | truncated
+
+        # Draw new episodes of environments whose episode had ended before, or ends now.
         info = _masked(values, stepped)
         renewed = ~stepped
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             renewed = self._ended.copy()
             final = np.full(self.num_envs, None, dtype=object)
             for place in np.flatnonzero(renewed):
-                final[place] = seen[place]
-            info = _masked(values, ~renewed)
-            info |= _masked(
-                {"final_obs": final, "final_info": _masked(values, renewed)}, renewed
-            )
+                final[place] = observations[place]
+            ends = {"final_obs": final, "final_info": _masked(values, renewed)}
+            info = _masked(values, ~renewed) | _masked(ends, renewed)
         if renewed.any():
-            seen = self._renew(renewed)
-        return seen, rewards, terminated, truncated, info
+            observations = self._renew(renewed)
+        return observations, rewards, terminated, truncated, info
 
-    def close_extras(self, **kwargs: Any) -> None:
+    def _checked_actions(self, actions: np.ndarray) -> np.ndarray:
+        """Return actions of all environments.
+
+        Raises:
+            ValueError: for actions outside the action space; an agent's controls beyond
+                the ends are clipped.
+        """
+        space = self.action_space
+        possible = actions.shape == space.shape and actions.dtype.kind in "biuf"
+        possible = possible and bool(np.isfinite(actions).all())
+        if possible and not self._functions.agent_drives:
+            numbers = actions.astype(space.dtype)
+            possible = space.contains(numbers) and bool((numbers == actions).all())
+        if not possible:
+            raise ValueError(
+                f"the actions {actions!r} are impossible; give some of {space}"
+            )
+        return actions
+
+    def close_extras(self, **kwargs: object) -> None:
         """End the threads."""
         self._threads.shutdown()
 
     def _renew(self, mask: np.ndarray) -> np.ndarray:
         """Draw new episodes of some environments; return the observations of all."""
         functions = self._functions
-        episodes = stack_episodes(
-            [functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)]
-        )
+        drawn = [functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)]
+        episodes = stack_episodes(drawn)
         number = len(episodes)
+
+        # Filled up with copies, so that one program serves any number.
         starts = episodes.starts
-        filled = np.resize(
-            starts, (self.num_envs, *starts.shape[1:])
-        )  # so that one program serves any number
-        now = jax.tree.map(
-            lambda part: np.array(part)[:number], _begin(functions.loop, filled)
-        )
+        filled = np.resize(starts, (self.num_envs, *starts.shape[1:]))
+        begun = _begin(functions.loop, filled)
+        now = jax.tree.map(lambda part: np.array(part)[:number], begun)
         new = EnvState(now, episodes, np.zeros(number, int))
+
         if self._state is None:
             self._state = new
-        for old, rows in zip(
-            jax.tree.leaves(self._state), jax.tree.leaves(new), strict=True
-        ):
+        old_arrays = jax.tree.leaves(self._state)
+        for old, rows in zip(old_arrays, jax.tree.leaves(new), strict=True):
             old[mask] = rows
-        self._ended[mask] = self._collided[mask] = False
-        return functions.observe(self._state.now.state, self._state.step)
+        self._ended[mask] = False
+        self._collided[mask] = False
+        state = self._state
+        return np.asarray(functions.observe(state.now.state, state.step))
 
-    def _advance(self, actions: np.ndarray) -> Records:
+    def _advance(
+        self, state: EnvState, actions: np.ndarray
+    ) -> tuple[EnvState, Records]:
         """Step all environments, chunk by chunk, on all cores.
 
         Chunks are sorted by model, as a chunk computes each model that one of its
         humans uses. The last chunks are filled up with copies of the first
         environments.
         """
-        functions = self._functions
         loop = self._functions.loop
-        state = self._state
-        given = functions.given(state, actions)
-        everything = replace(state.episodes, schedules=None), state.now, given
-        order = np.argsort(given.scheduled.max(axis=1), kind="stable")
+        inputs = self._functions.step_inputs(state, actions)
+
+        # The places of the environments, [threads, rounds, chunk].
+        order = np.argsort(inputs.scheduled.max(axis=1), kind="stable")
         rounds = ceil(self.num_envs / (self._groups * loop.together))
         groups = np.resize(order, (rounds, self._groups, loop.together)).swapaxes(0, 1)
 
+        # The inputs have the scheduled models.
+        episodes = replace(state.episodes, schedules=None)  # type: ignore[arg-type]
+        everything = (episodes, state.now, inputs)
+
         def advance(places: np.ndarray) -> tuple[EpisodeCarry, Records]:
-            own, now, given = jax.tree.map(
-                lambda part: np.asarray(part)[places], everything
-            )
-            return jax.tree.map(np.asarray, _step_chunks(loop, own, now, given))
+            own = jax.tree.map(lambda part: np.asarray(part)[places], everything)
+            return jax.tree.map(np.asarray, _step_chunks(loop, *own))
 
         results = list(self._threads.map(advance, groups))
-        _, back = np.unique(
-            groups, return_index=True
-        )  # the first place of every environment
+
+        # Back to the order of the environments: the first place of each counts.
+        _, back = np.unique(groups, return_index=True)
         now, records = jax.tree.map(
             lambda *parts: np.concatenate(np.concatenate(parts))[back], *results
         )
         records = checked_records(loop, records)
-        self._state = state._replace(now=now, step=state.step + 1)
-        return records
+        return state._replace(now=now, step=state.step + 1), records
 
-    def _info(self, records: Records) -> dict[str, Any]:
+    def _info(self, records: Records) -> Config:
         """Return the values of ``info`` after a step."""
         functions = self._functions
         loop = self._functions.loop
-        info: dict[str, Any] = {"collision": records.collision.copy()}
+        info: Config = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])
-            info |= {
-                "status": np.array(STATUSES)[records.status],
-                "model": names[records.rungs.max(axis=1)],
-            }
+            info["status"] = np.array(STATUSES)[records.status]
+            info["model"] = names[records.rungs.max(axis=1)]
             info["counted_seconds"] = functions.costs.total(records.planned)
         if functions.environment.scenario.streams:
-            info["success"] = (
-                loop.game.scene.is_reached(records.states[:, 0, 1]) & ~self._collided
-            )
+            reached = loop.game.scene.is_reached(records.states[:, 0, 1])
+            info["success"] = reached & ~self._collided
         return info
 
-    def _info_at_reset(self) -> dict[str, Any]:
+    def _info_at_reset(self) -> Config:
         """Return the values of ``info`` of environments that have done no step: with
         the keys and types of `_info`.
         """
-        number = self.num_envs
-        humans = self._functions.loop.game.number
-        none = np.zeros((number, humans), np.int32)
-        nothing = Records(
-            none,
-            none,
-            none[:, 0],
-            collision=self._collided,
-            states=np.asarray(self._state.now.state),
+        assert self._state is not None
+        states = np.asarray(self._state.now.state)
+        none = np.zeros((self.num_envs, self._functions.loop.game.number), np.int32)
+        values = self._info(
+            Records(none, none, none[:, 0], collision=self._collided, states=states)
         )
-        values = self._info(nothing)
         for name in ("status", "model", "counted_seconds"):
             if name in values:
                 values[name] = np.zeros_like(values[name])
         return values
 
 
-def _masked(values: dict[str, Any], mask: np.ndarray) -> dict[str, Any]:
+def _masked(values: Config, mask: np.ndarray) -> Config:
     """Return values of ``info`` with the mask of the environments that have them."""
     return values | {f"_{name}": mask for name in values}
 
@@ -342,13 +334,28 @@ _begin = jit_quickly(begin_episodes)
 
 @jit_quickly
 def _step_chunks(
-    loop: Loop, own: Episodes, now: EpisodeCarry, given: StepInputs
+    loop: Loop, episodes: Episodes, now: EpisodeCarry, inputs: StepInputs
 ) -> tuple[EpisodeCarry, Records]:
     """Step environments [chunks, together], chunk by chunk."""
-    return jax.lax.map(lambda items: step_episodes(loop, *items), (own, now, given))
+    everything = (episodes, now, inputs)
+    return jax.lax.map(lambda items: step_episodes(loop, *items), everything)
 
 
-def __getattr__(name: str) -> Any:
+def autoreset_mode_of(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return an autoreset mode, by its name or its value.
+
+    Raises:
+        ValueError: for an unknown one.
+    """
+    for known in AutoresetMode:
+        names = (known, known.name, known.value)
+        if isinstance(mode, (str, AutoresetMode)) and mode in names:
+            return known
+    modes = ", ".join(f"AutoresetMode.{known.name}" for known in AutoresetMode)
+    raise ValueError(f"autoreset_mode is {mode!r}; give one of {modes}")
+
+
+def __getattr__(name: str) -> Callable[..., InteractionVectorEnv]:
     """Return what makes a vector environment of an id, such as ``merger-v1``, for
     Gymnasium's entry points.
     """
