@@ -18,7 +18,7 @@ from ms_highway.cli.console import (
     warn,
 )
 from ms_highway.cli.options import FORMAT
-from ms_highway.irl import DRIVERS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
+from ms_highway.irl import DEMONSTRATORS, REAL_WEIGHTS, SIMULATED_WEIGHTS, TEMPERATURE
 
 if TYPE_CHECKING:
     from ms_highway.data.learned_reward import LearnedReward
@@ -59,7 +59,7 @@ def reward_with_drivers(name: str) -> "LearnedReward":
             with.
     """
     from ms_highway.data.learned_reward import named
-    from ms_highway.irl.prediction import check_peers
+    from ms_highway.irl.peers import check_peers
 
     reward = named(name)
     if not reward.drivers:
@@ -241,8 +241,8 @@ def fit(options: argparse.Namespace) -> None:
     "record demonstrations",
     option(
         "--driver",
-        "; ".join(f"{name}: {meaning}" for name, meaning in DRIVERS.items()),
-        choices=list(DRIVERS),
+        "; ".join(f"{name}: {meaning}" for name, meaning in DEMONSTRATORS.items()),
+        choices=list(DEMONSTRATORS),
         required=True,
     ),
     number(

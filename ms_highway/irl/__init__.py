@@ -1,17 +1,16 @@
-"""Learn a human's reward from recordings: demonstrations, maximum entropy, prediction,
-evaluation.
+"""Learn a human's reward from recordings, predict drivers, and evaluate both.
 
 Imports `ms_highway.recorded` and what stands below it.
 """
 
-DRIVERS = {
+DEMONSTRATORS = {
     "keyboard": "a person, with the arrow keys",
     "maxent": (
         "knows where the other cars go, and draws its controls, segment by segment,"
         " from p(u) ~ exp(R(u) / temperature)"
     ),
 }
-"""Name and description of each driver that demonstrates."""
+"""Name and description of each driver that demonstrates for `ms-highway irl record`."""
 
 TEMPERATURE = 1e-3
 """Default temperature of the driver ``maxent``, in units of the reward: controls vary

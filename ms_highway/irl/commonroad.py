@@ -1,8 +1,7 @@
-"""Convert CommonRoad scenarios, such as those of the US-101 highway, to recordings in
-lane coordinates.
-"""
+"""Convert CommonRoad scenarios to recordings in lane coordinates."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -14,9 +13,8 @@ from ms_highway.recorded.scenario import Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
 from ms_highway.runtime.arrays import Vector
 
-# m, median deviation from the median offset between two lanes, above which they are not
-# parallel
-LANE_SPREAD = 0.5
+TrackIdentity = tuple[str, int, float, float]
+"""Group of the recording, number of the track, and where it begins in the map."""
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
@@ -37,7 +35,7 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
         ValueError: if there is no file, or a file is not a scenario with lanes, drivers
             and the time step 0.1 s.
     """
-    counted = set[tuple]()
+    counted = set[TrackIdentity]()
     recordings = []
     for path in scenario_files(directory)[:first]:
         scenario = read_scenario(path)
@@ -48,68 +46,87 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
     return recordings
 
 
-def _convert(scenario: TrafficRecording, counted: set[tuple]) -> Recording:
+def _convert(scenario: TrafficRecording, counted: set[TrackIdentity]) -> Recording:
     """Convert a scenario to a recording; add its drivers to those that earlier files
     have counted.
     """
     road = straight_road(scenario)
+    axes = road.axes
+    parallel = _parallel_lanes(road.lines)
     tracks = scenario.tracks
-    curve, lanes = _parallel_lanes(road.lines)
-    states = np.full((1 + max(track.last for track in tracks), len(tracks), 4), np.nan)
-    drivers = []
     labels = [f"obstacle {track.number}" for track in tracks]
+
+    times = 1 + max(track.last for track in tracks)
+    states = np.full((times, len(tracks), 4), np.nan)
+    drivers = []
     left_out = {}
     for car, track in enumerate(tracks):
-        times, *_, orientation, speed = track.samples.T
-        x, y = road.axes.positions(track.samples[:, 1:3]).T
-        along, aside, heading = curve.project(x, y, road.axes.headings(orientation))
-        states[times.astype(int), car] = np.stack(
-            [along, aside, heading, speed], axis=-1
+        # Along and across the leftmost lane.
+        steps, _, _, orientation, speed = track.samples.T
+        x, y = axes.positions(track.samples[:, 1:3]).T
+        along, offset, heading = parallel.curve.project(
+            x, y, axes.headings(orientation)
         )
-        identity = (scenario.group, track.number, *track.samples[0, 1:3].round(2))
+        in_lane_coordinates = np.stack([along, offset, heading, speed], axis=-1)
+        states[steps.astype(int), car] = in_lane_coordinates
+
+        # A track is a driver in the first file that has it.
+        start_x, start_y = track.samples[0, 1:3].round(2)
+        identity = (scenario.group, track.number, start_x, start_y)
         with_the_road = np.abs(np.median(heading)) < np.pi / 2
-        if (
-            track.drives
-            and len(times) > 1
-            and with_the_road
-            and identity not in counted
-        ):
-            counted.add(identity)
-            if np.ptp(times) < len(times):
-                drivers.append(car)
-            else:
-                left_out[labels[car]] = (
-                    f"was not seen at each step from {times[0]:g} to {times[-1]:g}"
-                )
-    cars = np.array(drivers, dtype=int), np.array([track.size for track in tracks])
+        is_driver = track.drives and len(steps) > 1 and with_the_road
+        if not is_driver or identity in counted:
+            continue
+        counted.add(identity)
+        has_gap = np.ptp(steps) >= len(steps)
+        if has_gap:
+            left_out[labels[car]] = (
+                f"was not seen at each step from {steps[0]:g} to {steps[-1]:g}"
+            )
+        else:
+            drivers.append(car)
+
+    lanes = parallel.lanes
     width = float(np.median(np.diff(lanes))) if len(lanes) > 1 else road.lane_width
-    content = fingerprint(np.concatenate([track.samples for track in tracks]))
+    samples = np.concatenate([track.samples for track in tracks])
     return Recording(
-        scenario.name,
-        scenario.group,
-        states,
-        *cars,
-        lanes,
-        width,
-        TrafficRecording.default_speed_limit,
+        name=scenario.name,
+        group=scenario.group,
+        states=states,
+        drivers=np.array(drivers, dtype=int),
+        sizes=np.array([track.size for track in tracks]),
+        lanes=lanes,
+        lane_width=width,
+        speed_limit=TrafficRecording.default_speed_limit,
         labels=labels,
-        fingerprint=content,
+        fingerprint=fingerprint(samples),
         left_out=left_out,
     )
 
 
-def _parallel_lanes(lines: list[Points]) -> tuple[Curve, Vector]:
-    """Return the curve of the leftmost lane of the road, and the distance of each lane
-    to its right [m], ascending.
+class ParallelLanes(NamedTuple):
+    """Lanes side by side.
+
+    Attributes:
+        curve: of the leftmost lane.
+        lanes: distance of each lane to its right [m], ascending.
+    """
+
+    curve: Curve
+    lanes: Vector
+
+
+def _parallel_lanes(lines: list[Points]) -> ParallelLanes:
+    """Return the lanes of the road, given the middle of each row of lanes.
 
     The road is the largest set of parallel lines: a ramp is parallel only to itself.
     """
     curves = [next(smooth_curves(line)) for line in lines]
     offsets = np.array([[_offset(curve, line) for line in lines] for curve in curves])
-    most = offsets[np.isfinite(offsets).sum(axis=1).argmax()]
-    leftmost = int(np.nanargmin(most))
+    numbers_of_parallels = np.isfinite(offsets).sum(axis=1)
+    leftmost = int(np.nanargmin(offsets[numbers_of_parallels.argmax()]))
     lanes = np.sort(offsets[leftmost])
-    return curves[leftmost], lanes[np.isfinite(lanes)]
+    return ParallelLanes(curves[leftmost], lanes[np.isfinite(lanes)])
 
 
 def _offset(curve: Curve, line: Points) -> float:
@@ -120,7 +137,9 @@ def _offset(curve: Curve, line: Points) -> float:
     in recording 10 of US-101, it comes from 40 m away, and nobody drives at its median
     offset of 23 m.
     """
-    along, aside = curve.locate(line)
-    middle = float(np.median(aside))
-    parallel = along[-1] > along[0] and np.median(np.abs(aside - middle)) < LANE_SPREAD
-    return middle if parallel else np.nan
+    largest_spread = 0.5  # m, median deviation from the median of parallel lines
+    along, offset = curve.locate(line)
+    middle = float(np.median(offset))
+    goes_on = along[-1] > along[0]
+    spread = np.median(np.abs(offset - middle))
+    return middle if goes_on and spread < largest_spread else np.nan

@@ -1,17 +1,18 @@
-"""The simulated demonstrator: it knows the other cars' future motion and draws its
-controls by a known reward.
+"""Simulate a demonstrator that draws its controls by a known reward.
 
-It plans a segment as long as the planner's horizon, executes all of it, and plans the
-next one. The return R_H of a segment is the sum of the reward over its steps, less the
-discomfort of its controls.
+It knows the other cars' future motion. It plans a segment as long as the planner's
+horizon, executes all of it, and plans the next one. The return R_H of a segment is the
+sum of the reward over its steps, less the discomfort of its controls.
 """
 
+from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Float
 
 from ms_highway.game.dynamics import Motion, observe
 from ms_highway.game.features import motion_reward
@@ -32,22 +33,27 @@ collision, which is not differentiable, and with comfort, without which some con
 would have no effect on the reward.
 """
 
-FLOOR = (
-    0.05  # least size of the eigenvalues of Hessians: half of the curvature of comfort
-)
-DRAWS = 20  # proposals from which one control is resampled
-UNLIKELY = (
-    -1e30
-)  # log density of the optimum itself: it is drawn only if no proposal is possible
 
-MAX_STEPS = 50  # of the search for an optimum
-SHARES = np.append(0.5 ** np.arange(12), 0.0).astype(
-    np.float32
-)  # of its steps; the last one stays
-TOLERANCE = (
-    1e-3  # reward per scaled control, the gradient at which an optimum counts as found
-)
-NOISE = 1e-6  # of a reward, relative, in float32
+@dataclass(frozen=True)
+class OptimumSearch:
+    """Set how the optimum of a segment is found."""
+
+    max_steps: int = 50
+    """Newton steps, at most."""
+    tolerance: float = 1e-3
+    """Gradient at which an optimum counts as found [reward per scaled control]."""
+    noise: float = 1e-6
+    """Rounding errors of a reward in float32, relative."""
+    curvature_floor: float = 0.05
+    """Least size of the eigenvalues of Hessians: half of the curvature of comfort."""
+
+    @property
+    def shares(self) -> Float[np.ndarray, "shares"]:
+        """Shares of a Newton step that are tried; the last one stays."""
+        return np.append(0.5 ** np.arange(12), 0.0).astype(np.float32)
+
+
+SEARCH = OptimumSearch()
 
 
 class Optimum(NamedTuple):
@@ -88,10 +94,9 @@ def seen_from(car: States, routes: States) -> tuple[States, Motion]:
         car: state of the driver.
         routes: states of the others after each step [others, steps, 4].
     """
-    ahead = np.array([car[0], 0.0, 0.0, 0.0])
-    return jnp.asarray(car - ahead, dtype=jnp.float32), observe(
-        (routes - ahead).astype(np.float32)
-    )
+    origin = np.array([car[0], 0.0, 0.0, 0.0])
+    own = jnp.asarray(car - origin, dtype=jnp.float32)
+    return own, observe((routes - origin).astype(np.float32))
 
 
 def segment_return(game: Game, car: States, others: Motion) -> Objective:
@@ -117,19 +122,23 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
 
 @jax.jit
 def optimal(game: Game, car: States, others: Motion) -> Optimum:
-    """Find the local optimum of R_H that is uphill from keeping the velocity; takes
-    what `segment_return` takes.
+    """Find the local optimum of R_H that is uphill from keeping the velocity.
 
     Takes Newton steps, each with its own Hessian, until no component of the gradient
     exceeds 1e-3, no step earns more, or 50 steps are taken. Where float32 cannot tell
     which controls earn more, it takes whole steps.
+
+    Args:
+        game: see `segment_return`.
+        car: see `segment_return`.
+        others: see `segment_return`.
     """
     objective = segment_return(game, car, others)
 
-    def climbing(search: Search) -> Flag:
+    def goes_on(search: Search) -> Flag:
         moved = (search.steps == 0) | (search.controls != search.last.controls).any()
-        steep = jnp.abs(search.last.gradient).max() > TOLERANCE
-        return moved & (search.steps < MAX_STEPS) & steep
+        steep = jnp.abs(search.last.gradient).max() > SEARCH.tolerance
+        return moved & (search.steps < SEARCH.max_steps) & steep
 
     def improve(search: Search) -> Search:
         controls = search.controls
@@ -137,24 +146,24 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
         # A Newton step uphill.
         expansion = objective.expand(controls)
         gradient = expansion.gradient.reshape(controls.shape)
-        metric = damped_inverse(expansion.hessian, FLOOR)
+        metric = damped_inverse(expansion.hessian, SEARCH.curvature_floor)
         step = (metric @ gradient.ravel()).reshape(controls.shape)
 
         # The share of it that earns most, or all of it where differences are rounding.
-        candidates, rewards = objective.search_line(controls, step, SHARES)
+        candidates, rewards = objective.search_line(controls, step, SEARCH.shares)
         gains = rewards - rewards[-1]
-        noise = NOISE * (1 + jnp.abs(rewards[-1]))
+        noise = SEARCH.noise * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
         chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
-        return Search(
-            search.steps + 1, chosen, Optimum(controls, gradient, expansion.hessian)
-        )
+        here = Optimum(controls, gradient, expansion.hessian)
+        return Search(search.steps + 1, chosen, here)
 
     start = objective.bounded(constant_velocity(game, car))
     unknown = Optimum(
         start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size))
     )
-    return jax.lax.while_loop(climbing, improve, Search(0, start, unknown)).last
+    first = Search(0, start, unknown)
+    return jax.lax.while_loop(goes_on, improve, first).last
 
 
 @jax.jit
@@ -176,18 +185,23 @@ def maxent(
         key: of the random numbers.
         temperature: in units of the reward.
     """
+    draws = 20
+    unlikely = -1e30  # log density of the optimum: drawn only if nothing is possible
+
+    # Proposals from the Laplace approximation; the first is the optimum itself.
     best = optimal(game, car, others)
     values, vectors = jnp.linalg.eigh(best.hessian)
-    spread = vectors * jnp.sqrt(temperature / jnp.maximum(jnp.abs(values), FLOOR))
+    curvatures = jnp.maximum(jnp.abs(values), SEARCH.curvature_floor)
+    spread = vectors * jnp.sqrt(temperature / curvatures)
     proposing, accepting = jax.random.split(key)
-    normal = jax.random.normal(proposing, (DRAWS, len(values))).at[0].set(0.0)
-    proposals = best.controls + (normal @ spread.T).reshape(DRAWS, *best.controls.shape)
+    normal = jax.random.normal(proposing, (draws, len(values))).at[0].set(0.0)
+    deviations = (normal @ spread.T).reshape(draws, *best.controls.shape)
+    proposals = best.controls + deviations
+
+    # Log density of each proposal, relative to that from which it was drawn.
     returns = jax.vmap(segment_return(game, car, others).earned)(proposals)
-    inside = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
-    excess = (
-        returns / temperature + jnp.sum(normal**2, axis=1) / 2
-    )  # log density over the proposal's
-    excess = (
-        jnp.where(inside & jnp.isfinite(excess), excess, -jnp.inf).at[0].set(UNLIKELY)
-    )
-    return proposals[jax.random.categorical(accepting, excess)]
+    log_ratio = returns / temperature + jnp.sum(normal**2, axis=1) / 2
+    is_within = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
+    is_possible = is_within & jnp.isfinite(log_ratio)
+    log_ratio = jnp.where(is_possible, log_ratio, -jnp.inf).at[0].set(unlikely)
+    return proposals[jax.random.categorical(accepting, log_ratio)]

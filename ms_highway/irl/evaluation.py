@@ -1,16 +1,15 @@
-"""Evaluate learned drivers on recordings, beside the peers of
-`ms_highway.irl.prediction`.
-"""
+"""Evaluate learned drivers on recordings, beside their peers."""
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
-import jax
 import msgspec
 import numpy as np
 
 from ms_highway.data.learned_drivers import LearnedDrivers
 from ms_highway.game.scene import leaders
+from ms_highway.irl.horizons import HORIZONS
 from ms_highway.irl.mixture import (
     Mixture,
     Steps,
@@ -19,9 +18,10 @@ from ms_highway.irl.mixture import (
     log_density,
 )
 from ms_highway.irl.prediction import PREDICTORS, predict_with
-from ms_highway.irl.recording import Flags, Recording, folds, usable_recordings
+from ms_highway.irl.recording import Flags, Recording, folds
 from ms_highway.irl.seconds_ahead import learn_drivers
-from ms_highway.irl.snapshots import AT, HORIZONS, Paths, Snapshots, cut_snapshots
+from ms_highway.irl.snapshots import SNAPSHOT, Paths, Snapshots, cut_snapshots
+from ms_highway.irl.usable import usable_recordings
 from ms_highway.runtime.process import Progress, silent
 
 MISS = 2.0
@@ -30,14 +30,28 @@ MISS = 2.0
 LEVELS = (50, 90, 99)
 """Percentages of probability in the predicted regions whose calibration is measured."""
 
-REGIME = 3  # s, over which regimes are distinguished
-LANE_CHANGE = 1.5  # m to the side
-HARD = 1.0  # m/s^2, on average
-SLOW = 5.0  # m/s
-LEADER = 50.0  # m ahead, from centre to centre
+
+@dataclass(frozen=True)
+class RegimeLimits:
+    """Set where driving regimes begin, see `driving_regimes`."""
+
+    seconds: int = 3
+    """Time over which regimes are distinguished [s]."""
+    lane_change: float = 1.5
+    """Movement to the side in a lane change [m]."""
+    acceleration: float = 1.0
+    """Mean acceleration or deceleration [m/s^2]."""
+    slow: float = 5.0
+    """Speed at the start [m/s]."""
+    leader_distance: float = 50.0
+    """Distance to a leader at the start, from centre to centre [m]."""
+
+
+REGIMES = RegimeLimits()
 
 ByHorizon = dict[str, float]
 Situations = dict[str, dict[str, dict[str, ByHorizon]]]
+Value = TypeVar("Value")
 
 
 class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
@@ -59,7 +73,7 @@ class Evaluation(msgspec.Struct, frozen=True, omit_defaults=True):
     situations: Situations
     windows: int
     tracks: int
-    folds: Sequence[dict[str, Any]] = ()
+    folds: Sequence[dict[str, dict[str, float]]] = ()
     learned_from: int = 0
 
 
@@ -101,24 +115,23 @@ def metrics(errors: Errors) -> dict[str, ByHorizon]:
         of the probability.
     """
     rows: dict[str, ByHorizon] = {}
-    for horizon, at in zip(map(str, HORIZONS), AT, strict=True):
-        seen = np.isfinite(errors.distance[:, at])
+    for seconds, step in zip(HORIZONS.seconds, HORIZONS.steps, strict=True):
+        seen = np.isfinite(errors.distance[:, step])
         if not seen.any():
             continue
-        distance, log_p, level = (part[seen, at] for part in errors)
+        distance = errors.distance[seen, step]
+        level = errors.level[seen, step]
         values = {
             "fde": distance.mean(),
-            "ade": errors.distance[seen, : at + 1].mean(),
+            "ade": errors.distance[seen, : step + 1].mean(),
             "rmse": np.sqrt((distance**2).mean()),
             "miss": (distance > MISS).mean(),
-            "log_p": log_p.mean(),
-            **{
-                f"inside {percent}": (level < percent / 100).mean()
-                for percent in LEVELS
-            },
+            "log_p": errors.log_p[seen, step].mean(),
         }
+        for percent in LEVELS:
+            values[f"inside {percent}"] = (level < percent / 100).mean()
         for name, value in values.items():
-            rows.setdefault(name, {})[horizon] = float(value)
+            rows.setdefault(name, {})[str(seconds)] = float(value)
     return rows
 
 
@@ -132,7 +145,7 @@ def evaluate(
     """Evaluate learned drivers on recordings; or cross-validate: learn from the other
     folds to predict each fold.
 
-    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning
+    Drivers that are not `ms_highway.irl.usable.usable` are left out, with a warning
     that names them.
 
     Args:
@@ -146,14 +159,18 @@ def evaluate(
         ValueError: if a peer is missing, a cross-validation has only one fold, or no
             driver was seen for long enough.
     """
-    snapshots = cut_snapshots(usable_recordings(recordings)[0])
+    usable, _ = usable_recordings(recordings)
+    snapshots = cut_snapshots(usable)
     held_out = folds(snapshots.group, 1 if learned else parts)
     if not learned and len(held_out) < 2:
         raise ValueError(
             "cross-validation needs two folds and recordings of two groups; give more,"
             " or evaluate a theta"
         )
-    results = []
+
+    # The errors of each fold, under drivers that were learned from the others.
+    errors_of_folds = []
+    regimes_of_folds = []
     weights = []
     for number, chosen in enumerate(held_out, 1):
         some = snapshots.of(chosen)
@@ -163,24 +180,32 @@ def evaluate(
         )
         drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
         weights.append({"drivers": drivers.weights})
-        errors = {
+        errors_of_fold = {
             name: prediction_errors(predict_with(name, some, drivers), some.recorded)
             for name in PREDICTORS
         }
-        results.append((errors, driving_regimes(some)))
-    joined, regimes = jax.tree.map(lambda *rows: np.concatenate(rows), *results)
+        errors_of_folds.append(errors_of_fold)
+        regimes_of_folds.append(driving_regimes(some))
+
     errors = {
-        name: joined[name] for name in PREDICTORS
-    }  # jax.tree sorts names by the alphabet
+        name: Errors(*map(np.concatenate, zip(*each, strict=True)))
+        for name, each in _by_name(errors_of_folds).items()
+    }
+    regimes = {
+        name: np.concatenate(each) for name, each in _by_name(regimes_of_folds).items()
+    }
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
-        situations=metrics_by_regime(
-            errors, {name: regimes[name] for name in results[0][1]}
-        ),
+        situations=metrics_by_regime(errors, regimes),
         windows=len(snapshots.which),
         tracks=len(np.unique(snapshots.drivers(snapshots.track))),
         folds=() if learned else weights,
     )
+
+
+def _by_name(of_folds: Sequence[Mapping[str, Value]]) -> dict[str, list[Value]]:
+    """Return the values of all folds by their name, in the order of names."""
+    return {name: [of_fold[name] for of_fold in of_folds] for name in of_folds[0]}
 
 
 def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
@@ -193,21 +218,30 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     the other regimes. Drivers who are seen for less than 3 s are in none.
     """
     start = snapshots.drivers(snapshots.now)
-    later = snapshots.drivers(snapshots.future[:, 10 * REGIME - 1])
-    others = snapshots.now[snapshots.which]
-    reach = snapshots.lane_width[snapshots.which] / 2
-    near = (others[..., 0] - start[:, :1] < LEADER)[:, None]
-    _, led = leaders(start[:, :1], start[:, 1:2], others, near, reach[:, None, None])
-    acceleration = (later[:, 3] - start[:, 3]) / REGIME
-    found = {
-        "lane change": np.abs(later[:, 1] - start[:, 1]) > LANE_CHANGE,
-        "braking": acceleration < -HARD,
-        "accelerating": acceleration > HARD,
-        "slow": start[:, 3] < SLOW,
-        "no leader": ~led[:, 0],
+    last_step = SNAPSHOT.steps_per_second * REGIMES.seconds - 1
+    later = snapshots.drivers(snapshots.future[:, last_step])
+    x, y, _, speed = start.T
+    _, y_later, _, speed_later = later.T
+
+    # Whether there is a leader in the own lane.
+    others = snapshots.now[snapshots.which]  # [drivers, cars, 4]
+    half_width = snapshots.lane_width[snapshots.which] / 2
+    is_near = others[..., 0] - x[:, None] < REGIMES.leader_distance
+    _, is_led = leaders(
+        x[:, None], y[:, None], others, is_near[:, None], half_width[:, None, None]
+    )
+
+    acceleration = (speed_later - speed) / REGIMES.seconds
+    regimes = {
+        "lane change": np.abs(y_later - y) > REGIMES.lane_change,
+        "braking": acceleration < -REGIMES.acceleration,
+        "accelerating": acceleration > REGIMES.acceleration,
+        "slow": speed < REGIMES.slow,
+        "no leader": ~is_led[:, 0],
     }
-    found["following"] = ~np.any(list(found.values()), axis=0)
-    return {name: chosen & np.isfinite(acceleration) for name, chosen in found.items()}
+    regimes["following"] = ~np.any(list(regimes.values()), axis=0)
+    seen_until_then = np.isfinite(acceleration)
+    return {name: chosen & seen_until_then for name, chosen in regimes.items()}
 
 
 def metrics_by_regime(
@@ -216,23 +250,20 @@ def metrics_by_regime(
     """Return the mean distance and log density by regime, predictor and horizon, see
     `Evaluation.situations`.
     """
-    rows: Situations = {"distance": {}, "log_p": {}}
+    situations: Situations = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():
-        if chosen.any():
-            found = {
-                name: metrics(Errors(*(part[chosen] for part in each)))
-                for name, each in errors.items()
+        if not chosen.any():
+            continue
+        by_predictor = {
+            name: metrics(Errors(*(part[chosen] for part in each)))
+            for name, each in errors.items()
+        }
+        distances = errors["model"].distance[chosen][:, HORIZONS.steps]
+        numbers = np.isfinite(distances).sum(axis=0).astype(float).tolist()
+        windows = dict(zip(map(str, HORIZONS.seconds), numbers, strict=True))
+        for kind, metric in (("distance", "fde"), ("log_p", "log_p")):
+            situations[kind][regime] = {
+                "windows": windows,
+                **{name: found[metric] for name, found in by_predictor.items()},
             }
-            seen = (
-                np.isfinite(errors["model"].distance[chosen][:, AT])
-                .sum(axis=0)
-                .astype(float)
-                .tolist()
-            )
-            windows = dict(zip(map(str, HORIZONS), seen, strict=True))
-            for kind, metric in (("distance", "fde"), ("log_p", "log_p")):
-                rows[kind][regime] = {
-                    "windows": windows,
-                    **{name: each[metric] for name, each in found.items()},
-                }
-    return rows
+    return situations

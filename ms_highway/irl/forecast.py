@@ -1,27 +1,19 @@
-"""Predict where the cars of one moment of traffic will be, without a recording: modes,
-means and covariances.
-"""
+"""Predict where the cars of one moment of traffic will be, without a recording."""
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import Float
+from numpy.typing import ArrayLike
 
-from ms_highway.data.learned_drivers import LearnedDrivers
+from ms_highway.data.learned_drivers import LearnedDrivers, Spread
 from ms_highway.data.learned_reward import LearnedReward, shipped_drivers
 from ms_highway.game.dynamics import without_turns
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import predict_with
-from ms_highway.irl.snapshots import PAST_STEPS, STEPS, Snapshots
-
-# cars are padded to a multiple of this, so that functions are compiled for few numbers
-# of cars
-ROOM = 16
-WITHIN = (
-    2 * np.log(2)
-)  # squared radius, in standard deviations, that holds half of a bivariate normal distribution
+from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 
 
 class Forecast(NamedTuple):
@@ -41,22 +33,22 @@ class Forecast(NamedTuple):
         covariance: over all modes, of the mixture of normal distributions [m^2].
     """
 
-    times: Float[Any, "times"]
-    weights: Float[Any, "cars modes"]
-    means: Float[Any, "cars modes times 2"]
-    covariances: Float[Any, "modes times 2 2"]
-    mean: Float[Any, "cars times 2"]
-    covariance: Float[Any, "cars times 2 2"]
+    times: Float[np.ndarray, "times"]
+    weights: Float[np.ndarray, "cars modes"]
+    means: Float[np.ndarray, "cars modes times 2"]
+    covariances: Float[np.ndarray, "modes times 2 2"]
+    mean: Float[np.ndarray, "cars times 2"]
+    covariance: Float[np.ndarray, "cars times 2 2"]
 
 
 def predict(
-    states: Any,
-    lanes: Any,
+    states: ArrayLike,
+    lanes: ArrayLike,
     speed_limit: float,
     *,
     seconds: float = 5.0,
     predictor: str = "model",
-    sizes: Any = (5.0, 2.0),
+    sizes: ArrayLike = (5.0, 2.0),
     lane_width: float = 4.0,
     learned: LearnedReward | LearnedDrivers | None = None,
 ) -> Forecast:
@@ -88,85 +80,120 @@ def predict(
         ValueError: for arrays of other shapes, cars that are not seen now, an unknown
             predictor or a number out of range.
     """
-    past, centres, bodies = (
-        np.array(values, dtype=float) for values in (states, lanes, sizes)
-    )
-    past = past[None] if past.ndim == 2 else past
-    past[..., 2:3] = without_turns(past[..., 2:3])
-    shaped = past.ndim == 3 and past.shape[2] == 4 and len(past) <= PAST_STEPS + 1
-    if not (shaped and past.size and np.isfinite(past[-1]).all()):
-        message = (
-            f"finite numbers [cars, 4], or up to {PAST_STEPS + 1} times of them, finite"
-            " at the last"
-        )
-        raise ValueError(
-            f"states are of shape {np.shape(states)}, or not all seen now; give"
-            f" {message}"
-        )
+    past = _checked_past(states)
     cars = past.shape[1]
+    centres = np.array(lanes, dtype=float)
+    bodies = np.array(sizes, dtype=float)
     steps = round(seconds / TIME_STEP)
-    for name, value, right in (
-        (
-            "lanes",
+    checks: dict[str, tuple[object, bool]] = {
+        "lanes": (
             lanes,
-            centres.ndim == 1 and centres.size and np.isfinite(centres).all(),
+            centres.ndim == 1 and centres.size > 0 and bool(np.isfinite(centres).all()),
         ),
-        ("sizes", sizes, bodies.shape in ((2,), (cars, 2)) and (bodies > 0).all()),
-        ("speed_limit", speed_limit, 0 < speed_limit < np.inf),
-        ("lane_width", lane_width, 0 < lane_width < np.inf),
-        ("seconds", seconds, 1 <= steps <= STEPS),
-    ):
-        if not right:
+        "sizes": (
+            sizes,
+            bodies.shape in ((2,), (cars, 2)) and bool((bodies > 0).all()),
+        ),
+        "speed_limit": (speed_limit, 0 < speed_limit < np.inf),
+        "lane_width": (lane_width, 0 < lane_width < np.inf),
+        "seconds": (seconds, 1 <= steps <= SNAPSHOT.future_steps),
+    }
+    for name, (value, is_possible) in checks.items():
+        if not is_possible:
             raise ValueError(
                 f"{name} cannot be {value!r}; give positive finite numbers as"
                 " `help(predict)` says"
             )
-    missing = 0, -cars % ROOM
-    near = np.pad(
-        past,
-        ((PAST_STEPS + 1 - len(past), STEPS), missing, (0, 0)),
-        constant_values=np.nan,
-    )
-    bodies = np.pad(
-        np.broadcast_to(bodies, (cars, 2)), (missing, (0, 0)), constant_values=1.0
-    )
-    numbers = np.arange(len(bodies))
-    snapshot = Snapshots(
-        near[:-STEPS],
-        near[-STEPS:],
-        bodies,
-        np.sort(centres),
-        np.asarray(lane_width),
-        np.asarray(speed_limit),
-        numbers >= 0,
-        numbers,
-        0,
-    )
-    drivers = (
-        learned.drivers
-        if isinstance(learned, LearnedReward)
-        else learned or shipped_drivers()
-    )
-    modes, spread = predict_with(
-        predictor, jax.tree.map(lambda part: np.asarray(part)[None], snapshot), drivers
-    )
+
+    snapshot = _snapshot(past, bodies, np.sort(centres), lane_width, speed_limit)
+    if isinstance(learned, LearnedReward):
+        drivers = learned.drivers
+    else:
+        drivers = learned or shipped_drivers()
+    modes, spread = predict_with(predictor, snapshot, drivers)
+
+    # Only the cars and the steps that were asked for.
     weights = np.asarray(modes.probability)[:cars]
     means = np.asarray(modes.path)[:cars, :, :steps]
-    freedom = np.asarray(spread.freedom(steps))
-    scales = np.asarray(spread.scales(means.shape[1], steps))
-    wider = (
-        freedom * np.expm1(WITHIN / freedom) / WITHIN
-    )  # squared radius of Student's region, relative to WITHIN
-    covariances = (wider[:, None] * scales**2)[..., None] * np.eye(2)
     mean = expected_path(modes)[:cars, :steps]
-    deviations = means - mean[:, None]
+
+    # The mixture's covariance: that of each mode, and of the means of modes.
+    covariances = _covariances(spread, means.shape[1], steps)
+    deviations = means - mean[:, None]  # [cars, modes, times, 2]
     outer = deviations[..., :, None] * deviations[..., None, :]
     covariance = np.einsum("cm,cmtij->ctij", weights, covariances + outer)
-    return Forecast(
-        TIME_STEP * np.arange(1, steps + 1),
-        weights,
-        means,
-        covariances,
-        mean,
-        covariance,
+    times = TIME_STEP * np.arange(1, steps + 1)
+    return Forecast(times, weights, means, covariances, mean, covariance)
+
+
+def _checked_past(states: ArrayLike) -> Float[np.ndarray, "times cars 4"]:
+    """Return the past of all cars, with headings within a turn.
+
+    Raises:
+        ValueError: for arrays of other shapes, and cars that are not seen now.
+    """
+    past = np.array(states, dtype=float)
+    past = past[None] if past.ndim == 2 else past
+    past[..., 2:3] = without_turns(past[..., 2:3])
+    times = SNAPSHOT.past_steps + 1
+    is_past = past.ndim == 3 and past.shape[2] == 4 and len(past) <= times
+    if not (is_past and past.size and np.isfinite(past[-1]).all()):
+        raise ValueError(
+            f"states are of shape {np.shape(states)}, or not all seen now; give finite"
+            f" numbers [cars, 4], or up to {times} times of them, finite at the last"
+        )
+    return past
+
+
+def _snapshot(
+    past: Float[np.ndarray, "times cars 4"],
+    sizes: Float[np.ndarray, "*cars 2"],
+    lanes: Float[np.ndarray, "lanes"],
+    lane_width: float,
+    speed_limit: float,
+) -> Snapshots:
+    """Return a single snapshot of the last moment, whose future is not seen.
+
+    Cars are padded to a multiple of 16, so that functions are compiled for few numbers
+    of cars.
+    """
+    cars = past.shape[1]
+    missing = (0, -cars % 16)
+    unseen = SNAPSHOT.past_steps + 1 - len(past)
+    states = np.pad(
+        past,
+        ((unseen, SNAPSHOT.future_steps), missing, (0, 0)),
+        constant_values=np.nan,
     )
+    of_each = np.broadcast_to(sizes, (cars, 2))
+    padded_sizes = np.pad(of_each, (missing, (0, 0)), constant_values=1.0)
+    numbers = np.arange(len(padded_sizes))
+    snapshot = Snapshots(
+        past=states[: -SNAPSHOT.future_steps],
+        future=states[-SNAPSHOT.future_steps :],
+        sizes=padded_sizes,
+        lanes=lanes,
+        lane_width=np.asarray(lane_width),
+        speed_limit=np.asarray(speed_limit),
+        predicted=numbers >= 0,
+        track=numbers,
+        group=0,
+    )
+    return jax.tree.map(lambda part: np.asarray(part)[None], snapshot)
+
+
+def _covariances(
+    spread: Spread, modes: int, steps: int
+) -> Float[np.ndarray, "modes times 2 2"]:
+    """Return the covariances of normal distributions with the same region of 50 %
+    probability as the Student t distributions of a spread [m^2].
+
+    The squared radius r^2 of that region, in scales, is ``2 log 2`` for the normal
+    distribution, and ``nu (exp(2 log 2 / nu) - 1)`` for Student's with nu degrees of
+    freedom.
+    """
+    normal_square = 2 * np.log(2)
+    freedom = np.asarray(spread.freedom(steps))
+    scales = np.asarray(spread.scales(modes, steps))
+    wider = freedom * np.expm1(normal_square / freedom) / normal_square
+    return (wider[:, None] * scales**2)[..., None] * np.eye(2)

@@ -3,10 +3,11 @@ cross-validate, compare feature counts.
 """
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -20,23 +21,17 @@ from ms_highway.irl import REAL_WEIGHTS, SIMULATED_WEIGHTS
 from ms_highway.irl.demonstrator import optimal
 from ms_highway.irl.maximum_entropy import (
     DivergenceError,
+    FeatureDerivatives,
     Fit,
     differentiate,
     fit_weights,
     segment_log_likelihoods,
 )
-from ms_highway.irl.recording import (
-    Controls,
-    Flags,
-    Recording,
-    folds,
-    listed,
-    sources,
-    usable_recordings,
-)
+from ms_highway.irl.recording import Controls, Flags, Recording, folds, sources
 from ms_highway.irl.seconds_ahead import learn_drivers
 from ms_highway.irl.segments import Segments, cut_segments, driver_game, with_segment
 from ms_highway.irl.snapshots import cut_snapshots
+from ms_highway.irl.usable import listed, usable_recordings
 from ms_highway.runtime.arrays import Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.process import Progress, silent
@@ -44,13 +39,6 @@ from ms_highway.runtime.process import Progress, silent
 COMFORT_GIVEN = 0.1
 """Given comfort weight, which sets the scale of all others; small against the curvature
 of the published weights.
-"""
-
-STEADY = 1e-4
-"""Controls that differ by less than this part of the planner's scale from those that
-keep the velocity are no choice.
-
-In SI units, this is 3 mm/s^2; recorded accelerations waver by more than 100.
 """
 
 SIMULATED = RewardModel(
@@ -83,7 +71,7 @@ def learn_reward(
     """Learn a reward from all drivers of the recordings; from measured recordings, also
     learn drivers seconds ahead.
 
-    Drivers that are not `ms_highway.irl.recording.usable` are left out, with a warning
+    Drivers that are not `ms_highway.irl.usable.usable` are left out, with a warning
     that names them. Where a driver never steers or never changes its speed, its
     controls are exactly the best ones, and weights may grow without bound. Only if they
     do, these segments are left out as well, with a warning.
@@ -101,65 +89,31 @@ def learn_reward(
             a fit does not converge, or `learn_drivers` fails.
     """
     recordings, left_out = usable_recordings(recordings)
+    real = recordings[0].measured
+
+    # The weights.
     progress("cutting segments")
     segments = cut_segments(recordings, horizon)
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
     progress("fitting")
-    real = recordings[0].measured
-    labels = [
-        f"{label} of {each.name}"
-        for each in recordings
-        for label in map(each.label, each.drivers)
-    ]
+    data = SegmentData(segments, derivatives)
     try:
-        found = fit_weights(
-            derivatives, model, drivers=segments.driver if real else None
-        )
+        found = _fit(data, model, real)
     except DivergenceError as error:
-        steady = keeps_velocity(segments)
-        if not steady.any():
-            driver = labels[segments.driver[error.likeliest]]
-            raise ValueError(
-                f"the weights cannot be learned: {error.what} without bound, because"
-                f" the driving of {driver} fits them perfectly; leave this driver out,"
-                " learn fewer weights, or learn from more driving"
-            ) from error
-        names = list(
-            dict.fromkeys(labels[driver] for driver in segments.driver[steady])
-        )
-        if steady.all():
-            raise ValueError(
-                f"nothing can be learned from {listed(names)}: no driver ever steers,"
-                " or none changes its speed"
-            ) from error
-        left_out |= dict.fromkeys(
-            names, "has segments in which its speed or heading does not change at all"
-        )
-        warnings.warn(
-            f"{steady.sum()} of {len(segments)} segments are left out, in which the"
-            f" speed or the heading does not change at all ({listed(names)}): with"
-            f" them, {error.what} without bound",
-            stacklevel=2,
-        )
-        segments = segments.of(~steady)
-        derivatives = derivatives.of(~steady)
-        found = fit_weights(
-            derivatives, model, drivers=segments.driver if real else None
-        )
-    held_out = list[float]()
-    parts = folds(segments.group, validations)
-    for number, chosen in enumerate(parts if len(parts) > 1 else [], 1):
-        progress(f"cross-validating, {number} of {len(parts)}")
-        rest = fit_weights(derivatives.of(~chosen), model, found)
-        held_out += segment_log_likelihoods(derivatives.of(chosen), rest).tolist()
-    drivers = (
-        learn_drivers(cut_snapshots(recordings), progress=progress) if real else None
-    )
+        data, reasons = _without_steady(data, recordings, error)
+        left_out |= reasons
+        found = _fit(data, model, real)
+    held_out = _cross_validate(data, found, validations, progress)
+
+    # What drivers do seconds later, and in one segment.
+    drivers = None
+    if real:
+        drivers = learn_drivers(cut_snapshots(recordings), progress=progress)
     progress("counting features")
     counts = {
-        "human": derivatives.features.mean(axis=0),
-        "model": expected_features(segments, found),
+        "human": data.derivatives.features.mean(axis=0),
+        "model": expected_features(data.segments, found),
     }
     return LearnedReward(
         weights=found.weights,
@@ -169,39 +123,140 @@ def learn_reward(
         horizon=horizon,
         converged=True,
         iterations=found.iterations,
-        windows=len(segments),
-        log_likelihood={
-            "train": found.log_likelihood,
-            "held_out": float(np.mean(held_out)) if held_out else None,
-        },
+        windows=len(data.segments),
+        log_likelihood={"train": found.log_likelihood, "held_out": held_out},
         feature_counts={
             who: dict(zip(model.names, sums.tolist(), strict=True))
             for who, sums in counts.items()
         },
-        provenance={
-            "data": source,
-            "groups": len({recording.group for recording in recordings}),
-            "drivers": sum(len(recording.drivers) for recording in recordings),
-            "versions": {
-                package: version(package)
-                for package in ("ms-highway", "jax", "numpy", "scipy")
-            },
-            **({"left_out": left_out} if left_out else {}),
-        },
+        provenance=_provenance(recordings, source, left_out),
         tails=found.tails,
         drivers=drivers,
         learned_from=sources(recordings),
     )
 
 
-def keeps_velocity(segments: Segments) -> Flags:
-    """Return in which segments a driver keeps its speed, or its heading, exactly."""
-    game = driver_game(segments, {})
-    steady = jax.vmap(partial(keep_velocity, game.dynamics))(segments.start)[:, None]
-    deviations = np.abs(segments.controls - steady) / np.asarray(
-        game.planner.control_scale
+class SegmentData(NamedTuple):
+    """Segments and the derivatives of their features.
+
+    Attributes:
+        segments: of all drivers.
+        derivatives: of the features of each segment.
+    """
+
+    segments: Segments
+    derivatives: FeatureDerivatives
+
+
+def _fit(data: SegmentData, model: RewardModel, real: bool) -> Fit:
+    """Fit the weights; the independent units are drivers if they are real, and segments
+    if they are simulated.
+    """
+    drivers = data.segments.driver if real else None
+    return fit_weights(data.derivatives, model, drivers=drivers)
+
+
+def _without_steady(
+    data: SegmentData, recordings: Sequence[Recording], error: DivergenceError
+) -> tuple[SegmentData, dict[str, str]]:
+    """Leave out segments in which the speed or the heading does not change at all.
+
+    Args:
+        data: all segments.
+        recordings: from which they were cut.
+        error: why the weights could not be learned from all segments.
+
+    Returns:
+        The other segments; and why drivers have segments that are left out, by name.
+
+    Raises:
+        ValueError: if there are no such segments, or no others.
+    """
+    segments = data.segments
+    labels = [
+        f"{recording.label(car)} of {recording.name}"
+        for recording in recordings
+        for car in recording.drivers
+    ]
+    steady = keeps_velocity(segments)
+    if not steady.any():
+        driver = labels[segments.driver[error.likeliest]]
+        raise ValueError(
+            f"the weights cannot be learned: {error.what} without bound, because"
+            f" the driving of {driver} fits them perfectly; leave this driver out,"
+            " learn fewer weights, or learn from more driving"
+        ) from error
+    steady_drivers = segments.driver[steady]
+    names = list(dict.fromkeys(labels[driver] for driver in steady_drivers))
+    if steady.all():
+        raise ValueError(
+            f"nothing can be learned from {listed(names)}: no driver ever steers,"
+            " or none changes its speed"
+        ) from error
+    warnings.warn(
+        f"{steady.sum()} of {len(segments)} segments are left out, in which the"
+        f" speed or the heading does not change at all ({listed(names)}): with"
+        f" them, {error.what} without bound",
+        stacklevel=3,
     )
-    return (deviations.max(axis=1) < STEADY).any(axis=-1)
+    reason = "has segments in which its speed or heading does not change at all"
+    changing = SegmentData(segments.of(~steady), data.derivatives.of(~steady))
+    return changing, dict.fromkeys(names, reason)
+
+
+def _cross_validate(
+    data: SegmentData, found: Fit, validations: int, progress: Progress
+) -> float | None:
+    """Return the mean log likelihood of segments under weights that were learned from
+    other groups; None with a single group.
+
+    Args:
+        data: all segments.
+        found: the fit to all of them.
+        validations: number of folds.
+        progress: called with a message when a fold begins.
+    """
+    parts = folds(data.segments.group, validations)
+    if len(parts) < 2:
+        return None
+    held_out = list[float]()
+    for number, chosen in enumerate(parts, 1):
+        progress(f"cross-validating, {number} of {len(parts)}")
+        of_others = fit_weights(data.derivatives.of(~chosen), found.model, found)
+        some = data.derivatives.of(chosen)
+        held_out += segment_log_likelihoods(some, of_others).tolist()
+    return float(np.mean(held_out))
+
+
+def _provenance(
+    recordings: Sequence[Recording], source: str, left_out: Mapping[str, str]
+) -> dict[str, object]:
+    """Return where a learned reward comes from."""
+    packages = ("ms-highway", "jax", "numpy", "scipy")
+    provenance: dict[str, object] = {
+        "data": source,
+        "groups": len({recording.group for recording in recordings}),
+        "drivers": sum(len(recording.drivers) for recording in recordings),
+        "versions": {package: version(package) for package in packages},
+    }
+    if left_out:
+        provenance["left_out"] = left_out
+    return provenance
+
+
+def keeps_velocity(segments: Segments) -> Flags:
+    """Return in which segments a driver keeps its speed, or its heading, exactly.
+
+    Controls that differ by less than 1e-4 of the planner's scale from those that keep
+    the velocity are no choice. In SI units, this is 3 mm/s^2; recorded accelerations
+    waver by more than 100.
+    """
+    smallest_choice = 1e-4
+    game = driver_game(segments, {})
+    keeping = jax.vmap(partial(keep_velocity, game.dynamics))(segments.start)
+    scale = np.asarray(game.planner.control_scale)
+    deviations = np.abs(segments.controls - keeping[:, None]) / scale
+    return (deviations.max(axis=1) < smallest_choice).any(axis=-1)
 
 
 @jit_quickly
@@ -222,17 +277,20 @@ def expected_features(segments: Segments, found: Fit) -> Vector:
     ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, where the eigenvalues of -H
     are bounded as in the fit.
     """
-    sharp = {name: weight / found.temperature for name, weight in found.weights.items()}
+    model = found.model
+    temperature = found.temperature
+
+    # The derivatives at the best controls u*.
+    sharp = {name: weight / temperature for name, weight in found.weights.items()}
     best = in_batches(partial(best_controls, driver_game(segments, sharp)), segments)
-    derivatives = differentiate(replace(segments, controls=best), found.model.names)
-    theta = np.array([found.weights[name] for name in found.model.names])
-    values, vectors = np.linalg.eigh(
-        -np.einsum("f,nfde->nde", theta, derivatives.hessians) / found.temperature
-    )
-    values = np.maximum(values, found.model.floor / found.temperature)
+    derivatives = differentiate(replace(segments, controls=best), model.names)
+
+    # S, from the eigenvalues of -H / T.
+    theta = np.array([found.weights[name] for name in model.names])
+    hessians = np.einsum("f,nfde->nde", theta, derivatives.hessians)
+    values, vectors = np.linalg.eigh(-hessians / temperature)
+    values = np.maximum(values, model.floor / temperature)
     spread = np.einsum("nde,ne,nfe->ndf", vectors, 1 / values, vectors)
-    return np.mean(
-        derivatives.features
-        + np.einsum("nfde,nde->nf", derivatives.hessians, spread) / 2,
-        axis=0,
-    )
+
+    traces = np.einsum("nfde,nde->nf", derivatives.hessians, spread)
+    return np.mean(derivatives.features + traces / 2, axis=0)

@@ -1,21 +1,25 @@
-"""Maximum-entropy inverse reinforcement learning: the reward that makes recorded driving likely.
+"""Learn a reward by maximum entropy: the one that makes recorded driving likely.
 
-The model: a driver draws the d controls u of a segment, in the planner's scaled units, from
+The model: a driver draws the d controls u of a segment, in the planner's scaled units,
+from
 
     p(u) = exp(R(u) / T) / integral of exp(R(u') / T) du',    R(u) = theta . phi(u)
 
-where phi sums the features along the segment, comfort among them, while the other cars move as recorded. Let g and H
-be the gradient and the Hessian of R / T at the recorded controls. Laplace's approximation of the integral around these
-controls gives (Levine and Koltun 2012, Eq. 4)
+where phi sums the features along the segment, comfort among them, while the other cars
+move as recorded. Let g and H be the gradient and the Hessian of R / T at the recorded
+controls. Laplace's approximation of the integral around these controls gives (Levine
+and Koltun 2012, Eq. 4)
 
     log p(u) = g^T H^-1 g / 2 + log det(-H) / 2 - (d / 2) log 2 pi
 
-The first term is large if the driver was near an optimum, the second if that optimum is sharp. g and H are linear in
-theta: the features' derivatives are computed once, and a fit then takes seconds.
+The first term is large if the driver was near an optimum, the second if that optimum is
+sharp. g and H are linear in theta: the features' derivatives are computed once, and a
+fit then takes seconds.
 
-Real drivers are mostly near an optimum, and now and then far from it. Their temperature therefore varies from segment
-to segment: it is T times an inverse-gamma variable with both parameters ``nu / 2``. This makes p a multivariate
-Student t distribution with nu degrees of freedom, called its *tails*::
+Real drivers are mostly near an optimum, and now and then far from it. Their temperature
+therefore varies from segment to segment: it is T times an inverse-gamma variable with
+both parameters ``nu / 2``. This makes p a multivariate Student t distribution with nu
+degrees of freedom, called its *tails*::
 
     log p(u) = -(nu + d) / 2 log(1 - g^T H^-1 g / nu) + log det(-H) / 2
                + log Gamma((nu + d) / 2) - log Gamma(nu / 2) - (d / 2) log(nu pi)
@@ -23,7 +27,7 @@ Student t distribution with nu degrees of freedom, called its *tails*::
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -43,26 +47,39 @@ from ms_highway.numerics.estimation import (
     slope_differences,
 )
 from ms_highway.numerics.second_derivatives import floored
-from ms_highway.runtime.arrays import Scalar, Vector
+from ms_highway.runtime.arrays import Array, Scalar, Vector
 from ms_highway.runtime.compilation import in_batches, jit_quickly
 from ms_highway.runtime.jax_settings import double_precision
 
-# standard deviation of log |theta| and log T around 0: weak, as two of them are a
-# factor of 3000
-PRIOR_SPREAD = 4.0
-DIFFERENCE = 1e-4  # of log theta, for the Hessian of the log-likelihood
-TOLERANCE = (
-    1e-3  # largest slope of the loss, in any logarithm, of a fit that has converged
-)
-LARGEST = (
-    5 * PRIOR_SPREAD
-)  # size of a logarithm beyond which a weight or the temperature diverges: a factor of 5e8
-TRUST_REGION = {
-    "gtol": TOLERANCE / 10,
-    "initial_trust_radius": 1.0,
-    "max_trust_radius": 3.0,
-    "maxiter": 200,
-}
+
+@dataclass(frozen=True)
+class WeightFit:
+    """Set how weights are fitted."""
+
+    prior_deviation: float = 4.0
+    """Standard deviation of log |theta| and log T around 0: weak, as two of them are a
+    factor of 3000.
+    """
+    difference: float = 1e-4
+    """Difference of log theta, for the Hessian of the log-likelihood."""
+    tolerance: float = 1e-3
+    """Largest slope of the loss, in any logarithm, of a fit that has converged."""
+    initial_trust_radius: float = 1.0
+    """Of logarithms: a factor of e."""
+    max_trust_radius: float = 3.0
+    """Of logarithms: a factor of 20."""
+    iterations: int = 200
+    """Of the optimiser, at most."""
+
+    @property
+    def largest_logarithm(self) -> float:
+        """Size of a logarithm beyond which a weight or the temperature diverges: five
+        standard deviations, a factor of 5e8.
+        """
+        return 5 * self.prior_deviation
+
+
+FIT = WeightFit()
 
 
 @jax.tree_util.register_dataclass
@@ -77,9 +94,9 @@ class FeatureDerivatives(Rows):
         hessians: second derivatives.
     """
 
-    features: Float[Any, "n names"]
-    gradients: Float[Any, "n names d"]
-    hessians: Float[Any, "n names d d"]
+    features: Float[Array, "n names"]
+    gradients: Float[Array, "n names d"]
+    hessians: Float[Array, "n names d d"]
 
 
 class DivergenceError(ValueError):
@@ -121,7 +138,7 @@ class Fit:
 
     model: RewardModel
     logarithms: Parameters
-    covariance: Float[Any, "parameters parameters"]
+    covariance: Float[Array, "parameters parameters"]
     iterations: int
     log_likelihood: float
     weights: dict[str, float]
@@ -136,19 +153,20 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
         ValueError: if a derivative is not finite.
     """
     game = driver_game(segments, {}, names)
-    columns = np.array([(*game.robot.names, *COMFORT).index(name) for name in names])
-    found = in_batches(partial(_differentiate, game), segments)
-    derivatives = jax.tree.map(lambda part: part[:, columns].astype(float), found)
-    sums = sum(
-        part.sum(axis=tuple(range(1, part.ndim)))
-        for part in jax.tree.leaves(derivatives)
-    )
+    computed = (*game.robot.names, *COMFORT)
+    columns = np.array([computed.index(name) for name in names])
+    of_all = in_batches(partial(_differentiate, game), segments)
+    derivatives = jax.tree.map(lambda part: part[:, columns].astype(float), of_all)
+
+    # A sum is finite only if all its terms are.
+    sums = np.zeros(len(segments))
+    for part in jax.tree.leaves(derivatives):
+        sums = sums + part.sum(axis=tuple(range(1, part.ndim)))
     if not np.isfinite(sums).all():
         segment = np.isfinite(sums).argmin()
-        start = segments.start[segment]
         raise ValueError(
             f"the features of segment {segment} have no finite derivatives; it starts"
-            f" at {start}"
+            f" at {segments.start[segment]}"
         )
     return derivatives
 
@@ -165,8 +183,9 @@ def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
 
     controls = (segment.controls / game.planner.control_scale).ravel()
     gradients = jax.jacrev(features)
+    hessians = jax.jacfwd(gradients)
     return FeatureDerivatives(
-        features(controls), gradients(controls), jax.jacfwd(gradients)(controls)
+        features(controls), gradients(controls), hessians(controls)
     )
 
 
@@ -193,14 +212,20 @@ def log_likelihoods(
         gradient, curvature = pair  # g and -H
         lowest = floor / temperature
         d = len(gradient)
-        high = jnp.isfinite(
-            jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))
-        ).all()  # then nothing is floored
-        root = jnp.linalg.cholesky(
-            jax.lax.cond(
-                high, lambda same: same, lambda low: floored(low, lowest), curvature
-            )
+
+        # -H = root root^T, with a floor below its eigenvalues. If -H less the floor has
+        # a Cholesky factor, nothing is below the floor.
+        above_floor = jnp.linalg.cholesky(curvature - lowest * jnp.eye(d))
+        is_above_floor = jnp.isfinite(above_floor).all()
+        positive = jax.lax.cond(
+            is_above_floor,
+            lambda same: same,
+            lambda low: floored(low, lowest),
+            curvature,
         )
+        root = jnp.linalg.cholesky(positive)
+
+        # -g^T H^-1 g, and log det(-H) / 2.
         distance = gradient @ cho_solve((root, True), gradient)
         sharpness = jnp.sum(jnp.log(jnp.diagonal(root)))
         if tails is None:
@@ -221,13 +246,13 @@ def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit) -> Vect
     """Return `log_likelihoods` of the scaled controls in every segment under a fit, in
     double precision.
     """
+    model = found.model
     with double_precision():
-        theta = np.array([found.weights[name] for name in found.model.names])
-        return np.asarray(
-            log_likelihoods(
-                derivatives, theta, found.temperature, found.model.floor, found.tails
-            )
+        theta = np.array([found.weights[name] for name in model.names])
+        likelihoods = log_likelihoods(
+            derivatives, theta, found.temperature, model.floor, found.tails
         )
+        return np.asarray(likelihoods)
 
 
 def fit_weights(
@@ -256,83 +281,124 @@ def fit_weights(
         ValueError: if the fit does not converge.
     """
     learned = len(model.learned)
-    remedy = "learn fewer weights, or from more driving"
-    names = [
-        *(f"the weight of {name}" for name in model.learned),
-        "the temperature",
-        "the number of the tails",
-    ]
+    first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
     with double_precision():
         given = np.array([*model.given.values()], dtype=float)
-        data = jax.device_put(derivatives), model.floor, model.signs(), given
+        data = FitData(jax.device_put(derivatives), model.floor, model.signs(), given)
 
         def loss(logarithms: Parameters) -> tuple[float, np.ndarray]:
             (value, _), slope = _loss(logarithms, *data)
             return float(value), np.asarray(slope)
 
-        first = np.zeros(learned + 1 + model.tails) if near is None else near.logarithms
-
         def curvature(logarithms: Parameters) -> np.ndarray:
-            hessian = slope_differences(
-                lambda near: loss(near)[1], logarithms, DIFFERENCE
-            )
-            up = [
-                f"{name} grows"
-                for name, value in zip(names, logarithms[: learned + 1], strict=False)
-                if value > LARGEST
-            ]
-            down = ["the temperature falls"] * bool(logarithms[learned] < -LARGEST)
-            if up or down or not np.isfinite(hessian).all():
-                inside = np.clip(
-                    logarithms, -LARGEST, LARGEST
-                )  # where likelihoods are finite
-                (_, before), (_, after) = (
-                    _loss(place, *data)[0] for place in (first, inside)
-                )
-                steepest = f"{names[np.abs(logarithms).argmax()]} changes"
-                raise DivergenceError(
-                    " and ".join([*up, *down] or [steepest]),
-                    int(np.nan_to_num(after - before).argmax()),
-                )
-            return hessian
+            return _checked_curvature(logarithms, first, data, model)
 
-        found = optimize.minimize(
+        result = optimize.minimize(
             loss,
             first,
             jac=True,
             hess=curvature,
             method="trust-exact",
-            options=TRUST_REGION,
+            options={
+                "gtol": FIT.tolerance / 10,
+                "initial_trust_radius": FIT.initial_trust_radius,
+                "max_trust_radius": FIT.max_trust_radius,
+                "maxiter": FIT.iterations,
+            },
         )
-        best = found.x
-        weights = model.weights(found.x)
-        hessian = curvature(found.x)
+        best = result.x
+        hessian = curvature(best)
         (_, likelihoods), slope = _loss(best, *data)
-        if np.abs(slope).max() >= TOLERANCE:
-            far = (
-                f"{names[np.abs(slope).argmax()]} still changes after {found.nit}"
-                " iterations"
+        if np.abs(slope).max() >= FIT.tolerance:
+            name = _parameter_names(model)[np.abs(slope).argmax()]
+            raise ValueError(
+                f"the fit has not converged: {name} still changes after {result.nit}"
+                " iterations; learn fewer weights, or from more driving"
             )
-            raise ValueError(f"the fit has not converged: {far}; {remedy}")
-        covariance = np.linalg.pinv(
-            len(derivatives) * (hessian + hessian.T) / 2, hermitian=True
-        )
+
+        # The loss is a mean over segments, the covariance is of their sum.
+        whole_hessian = len(derivatives) * (hessian + hessian.T) / 2
+        covariance = np.linalg.pinv(whole_hessian, hermitian=True)
         if drivers is not None:
-            covariance = grouped_covariance(
-                covariance, np.asarray(_segment_scores(best, *data)), drivers
-            )
+            scores = np.asarray(_segment_scores(best, *data))
+            covariance = grouped_covariance(covariance, scores, drivers)
         log_likelihood = float(likelihoods.mean())
+        weights = model.weights(best)
     temperature, *tails = np.exp(best[learned:]).tolist()
     return Fit(
-        model,
-        best,
-        covariance,
-        int(found.nit),
-        log_likelihood,
-        weights,
-        temperature,
-        *(tails or [None]),
+        model=model,
+        logarithms=best,
+        covariance=covariance,
+        iterations=int(result.nit),
+        log_likelihood=log_likelihood,
+        weights=weights,
+        temperature=temperature,
+        tails=tails[0] if tails else None,
     )
+
+
+class FitData(NamedTuple):
+    """What the loss of a fit depends on, beside the logarithms.
+
+    Attributes:
+        derivatives: of the features in every segment.
+        floor: least curvature of -R.
+        signs: of the learned weights.
+        given: weights that are not learned.
+    """
+
+    derivatives: FeatureDerivatives
+    floor: float
+    signs: Parameters
+    given: Parameters
+
+
+def _parameter_names(model: RewardModel) -> list[str]:
+    """Return what each logarithm of a fit is of, for messages."""
+    weights = [f"the weight of {name}" for name in model.learned]
+    return [*weights, "the temperature", "the number of the tails"]
+
+
+def _checked_curvature(
+    logarithms: Parameters, first: Parameters, data: FitData, model: RewardModel
+) -> np.ndarray:
+    """Return the Hessian of the loss.
+
+    Args:
+        logarithms: where the optimiser is.
+        first: where it began.
+        data: of the fit.
+        model: the weights to learn and those given.
+
+    Raises:
+        DivergenceError: if a logarithm is too large, or the Hessian is not finite.
+    """
+
+    def slope(logarithms: Parameters) -> np.ndarray:
+        return np.asarray(_loss(logarithms, *data)[1])
+
+    hessian = slope_differences(slope, logarithms, FIT.difference)
+
+    largest = FIT.largest_logarithm
+    learned = len(model.learned)
+    names = _parameter_names(model)
+    diverging = [
+        f"{name} grows"
+        for name, value in zip(names, logarithms[: learned + 1], strict=False)
+        if value > largest
+    ]
+    if logarithms[learned] < -largest:
+        diverging.append("the temperature falls")
+    if not diverging and np.isfinite(hessian).all():
+        return hessian
+
+    # The segment whose likelihood has grown most, where likelihoods are finite.
+    bounded = np.clip(logarithms, -largest, largest)
+    (_, before), _ = _loss(first, *data)
+    (_, after), _ = _loss(bounded, *data)
+    likeliest = int(np.nan_to_num(after - before).argmax())
+    steepest = f"{names[np.abs(logarithms).argmax()]} changes"
+    raise DivergenceError(" and ".join(diverging or [steepest]), likeliest)
 
 
 def _segment_likelihoods(
@@ -342,30 +408,30 @@ def _segment_likelihoods(
     signs: Parameters,
     given: Parameters,
 ) -> Vector:
-    """Return log p of every segment; the logarithms are those of `Fit`."""
+    """Return log p of every segment; the logarithms are those of `Fit`, the others the
+    fields of `FitData`.
+    """
     sizes = jnp.exp(logarithms)
     learned = len(signs)
     temperature, *tails = sizes[learned:]
-    return log_likelihoods(
-        derivatives,
-        jnp.concatenate([signs * sizes[:learned], given]),
-        temperature,
-        floor,
-        *tails,
-    )
+    theta = jnp.concatenate([signs * sizes[:learned], given])
+    return log_likelihoods(derivatives, theta, temperature, floor, *tails)
 
 
 @jit_quickly
 @partial(jax.value_and_grad, has_aux=True)
-def _loss(logarithms: Parameters, *data: Any) -> tuple[Scalar, Vector]:
+def _loss(
+    logarithms: Parameters,
+    derivatives: FeatureDerivatives,
+    floor: float,
+    signs: Parameters,
+    given: Parameters,
+) -> tuple[Scalar, Vector]:
     """Return minus the mean log p under the prior, and log p of each segment."""
-    each = _segment_likelihoods(logarithms, *data)
-    return (
-        jnp.sum(logarithms**2) / (2 * PRIOR_SPREAD**2 * len(each)) - jnp.mean(each),
-        each,
-    )
+    likelihoods = _segment_likelihoods(logarithms, derivatives, floor, signs, given)
+    prior = jnp.sum(logarithms**2) / (2 * FIT.prior_deviation**2 * len(likelihoods))
+    return prior - jnp.mean(likelihoods), likelihoods
 
 
-_segment_scores = jit_quickly(
-    jax.jacfwd(_segment_likelihoods)
-)  # slopes of log p of each segment [n, parameters]
+# Slopes of log p of each segment [n, parameters].
+_segment_scores = jit_quickly(jax.jacfwd(_segment_likelihoods))

@@ -1,49 +1,48 @@
-"""Predicted distributions of drivers' positions: mixtures of Student t distributions
-around the paths of modes.
-"""
+"""Describe where drivers may be: mixtures of Student t distributions around paths."""
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ms_highway.data.learned_drivers import Spread
+from ms_highway.geometry.curve import namespace
 from ms_highway.irl.snapshots import Paths
 from ms_highway.numerics.estimation import Parameters, minimum
-from ms_highway.runtime.arrays import Scalar, plain
-
-DRAWS = 256
-"""Number of draws from a predicted distribution by which `density_level` is estimated.
-"""
-
-LEAST, FARTHEST = (
-    1e-30,
-    1e9,
-)  # of a chi-square, and of a draw [m]: heavy tails exceed floating-point numbers
+from ms_highway.runtime.arrays import Array, Scalar, plain
 
 SIDES = np.array([0, -1, 1])
 """Number of lanes to the right by which a driver changes in each mode of the learned
 drivers.
 """
 
-EVERY = 5  # steps between those at which distributions are fitted
-FIRST = (
-    -0.7,
-    1.3,
-    0.0,
-    -1.8,
-    0.9,
-    0.0,
-    0.0,
-    0.0,
-    1.0,
-    0.0,
-)  # parameters that a fit starts from, the tails' last
-PRIOR = 2.0  # standard deviation of the parameters around these
+Steps = Float[Array, "n 50"]  # a value after each step
 
-Steps = Float[Any, "n 50"]  # a value after each step
+
+@dataclass(frozen=True)
+class SpreadFit:
+    """Set how the spread around predictions is fitted."""
+
+    stride: int = 5
+    """Steps between those at which distributions are fitted: half a second."""
+    first: tuple[float, ...] = (-0.7, 1.3, 0.0, -1.8, 0.9, 0.0, 0.0, 0.0, 1.0, 0.0)
+    """Parameters that a fit starts from: three of the scale along the road, three of
+    the scale across it, two of lane changes, the logarithm of the degrees of freedom
+    after 1 s, and the power with which they grow; see `Spread`.
+    """
+    deviation: float = 2.0
+    """Standard deviation of the parameters around these in the prior."""
+
+    @property
+    def times(self) -> slice:
+        """The steps at which distributions are fitted."""
+        return slice(self.stride - 1, None, self.stride)
+
+
+SPREAD_FIT = SpreadFit()
 
 
 class Modes(NamedTuple):
@@ -54,8 +53,8 @@ class Modes(NamedTuple):
         path: x and y after each step.
     """
 
-    probability: Float[Any, "n modes"]
-    path: Float[Any, "n modes 50 2"]
+    probability: Float[Array, "n modes"]
+    path: Float[Array, "n modes 50 2"]
 
 
 class Mixture(NamedTuple):
@@ -74,23 +73,27 @@ def expected_path(modes: Modes) -> Paths:
     """Return the mean of the modes' paths, the single path from which errors are
     measured.
     """
-    return np.einsum(
-        "nm,nmtc->ntc", np.asarray(modes.probability), np.asarray(modes.path)
-    )
+    probability = np.asarray(modes.probability)
+    return np.einsum("nm,nmtc->ntc", probability, np.asarray(modes.path))
 
 
 @jax.jit
 def log_density(mixture: Mixture, positions: Paths) -> Steps:
-    """Return the log density of positions after each step [1/m^2]; NaN where a position
-    is NaN.
+    """Return the log density of positions after each step [1/m^2].
+
+    It is NaN where a position is NaN. With the scales s and t, the degrees of freedom
+    nu and the deviations dx and dy, each mode has the bivariate Student t density::
+
+        (1 + ((dx / s)^2 + (dy / t)^2) / nu)^-(nu / 2 + 1) / (2 pi s t)
     """
     modes, spread = mixture
-    scales = spread.scales(*modes.path.shape[1:3])
-    freedom = spread.freedom(modes.path.shape[2])
+    _, number, steps, _ = modes.path.shape
+    scales = spread.scales(number, steps)  # [modes, steps, 2]
+    freedom = spread.freedom(steps)
     deviations = (positions[:, None] - modes.path) / scales
-    densities = -(freedom / 2 + 1) * jnp.log1p(
-        jnp.sum(deviations**2, axis=-1) / freedom
-    )
+    power = -(freedom / 2 + 1)
+    squares = jnp.sum(deviations**2, axis=-1)
+    densities = power * jnp.log1p(squares / freedom)
     densities = densities - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
     probabilities = jnp.log(jnp.maximum(modes.probability, 1e-9))
     return jax.scipy.special.logsumexp(densities + probabilities[..., None], axis=1)
@@ -98,67 +101,75 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
 
 def density_level(mixture: Mixture, positions: Paths) -> Steps:
     """Estimate the probability of the region of highest density that has each position
-    on its edge, by `DRAWS` draws.
+    on its edge.
 
-    If the predicted spread is right, levels are distributed uniformly: half of the
-    drivers are in the 50 % region.
+    It is the share of 256 draws from the predicted distribution whose density is
+    higher. If the predicted spread is right, levels are distributed uniformly: half of
+    the drivers are in the 50 % region.
     """
+    draws = 256
+    # Heavy tails exceed floating-point numbers: bounds of a chi-square, and of a draw.
+    least_square = 1e-30
+    farthest = 1e9  # m
+
     (probability, paths), spread = mixture
-    random = np.random.default_rng(0)
     path = np.asarray(paths)
-    n, number, steps = path.shape[:3]
-    scales = np.asarray(spread.scales(number, steps))
+    drivers, modes, steps, _ = path.shape
+    scales = np.asarray(spread.scales(modes, steps))
     freedom = np.asarray(spread.freedom(steps))
-    edge = np.asarray(log_density(mixture, positions))
-    inside = np.zeros((n, steps))
-    below = np.cumsum(np.asarray(probability), axis=1)[:, :-1]
-    for _ in range(DRAWS):
-        mode = np.sum(random.random((n, 1)) > below, axis=1)
-        squares = np.maximum(random.chisquare(freedom, (n, steps)), LEAST)
-        stretch = np.sqrt(freedom / squares)[..., None]
-        drawn = (
-            path[np.arange(n), mode]
-            + stretch * random.normal(size=(n, steps, 2)) * scales[mode]
-        )
-        inside += (
-            np.asarray(log_density(mixture, np.clip(drawn, -FARTHEST, FARTHEST))) > edge
-        )
-    return np.where(np.isfinite(edge), inside / DRAWS, np.nan)
+    density = np.asarray(log_density(mixture, positions))
+    thresholds = np.cumsum(np.asarray(probability), axis=1)[:, :-1]  # between modes
+
+    random = np.random.default_rng(0)
+    number_inside = np.zeros((drivers, steps))
+    for _ in range(draws):
+        # A mode for each driver, and a Student t variable for each step.
+        mode = np.sum(random.random((drivers, 1)) > thresholds, axis=1)
+        chi_squares = random.chisquare(freedom, (drivers, steps))
+        stretch = np.sqrt(freedom / np.maximum(chi_squares, least_square))[..., None]
+        normal = random.normal(size=(drivers, steps, 2))
+        drawn = path[np.arange(drivers), mode] + stretch * normal * scales[mode]
+
+        drawn = np.clip(drawn, -farthest, farthest)
+        number_inside += np.asarray(log_density(mixture, drawn)) > density
+    return np.where(np.isfinite(density), number_inside / draws, np.nan)
 
 
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
-    known = np.isfinite(positions).all(axis=-1)[:, EVERY - 1 :: EVERY]
-    return plain(
-        _spread_of(
-            minimum(_loss, np.array(FIRST), modes, np.nan_to_num(positions), known)
-        )
-    )
+    known = np.isfinite(positions).all(axis=-1)[:, SPREAD_FIT.times]
+    first = np.array(SPREAD_FIT.first)
+    parameters = minimum(_loss, first, modes, np.nan_to_num(positions), known)
+    return plain(_spread_of(parameters))
 
 
 def _spread_of(parameters: Parameters) -> Spread:
-    xp = parameters.__array_namespace__()
+    """Return the spread with the parameters of `SpreadFit`, in their precision."""
+    xp = namespace(parameters)
     return Spread(
-        parameters[:3],
-        parameters[3:6],
-        parameters[6:8],
-        xp.stack([xp.exp(parameters[8]), parameters[9]]),
+        along=parameters[:3],
+        across=parameters[3:6],
+        changing=parameters[6:8],
+        tails=xp.stack([xp.exp(parameters[8]), parameters[9]]),
     )
 
 
 @jax.jit
 @jax.value_and_grad
 def _loss(
-    parameters: Parameters, modes: Modes, positions: Paths, known: Steps
+    parameters: Parameters,
+    modes: Modes,
+    positions: Paths,
+    known: Bool[Array, "n times"],
 ) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
-    densities = log_density(Mixture(modes, _spread_of(parameters)), positions)[
-        :, EVERY - 1 :: EVERY
-    ]
-    prior = jnp.sum((parameters - jnp.array(FIRST)) ** 2) / (2 * PRIOR**2)
-    seen = jnp.maximum(
-        known.sum(axis=0), 1
-    )  # every horizon has the same weight, though fewer are seen for long
-    return prior / known.sum() - jnp.mean(
-        jnp.where(known, densities, 0.0).sum(axis=0) / seen
-    )
+    mixture = Mixture(modes, _spread_of(parameters))
+    densities = log_density(mixture, positions)[:, SPREAD_FIT.times]
+    deviations = parameters - jnp.array(SPREAD_FIT.first)
+    prior = jnp.sum(deviations**2) / (2 * SPREAD_FIT.deviation**2)
+
+    # Every horizon has the same weight, though fewer drivers are seen for long.
+    seen = jnp.maximum(known.sum(axis=0), 1)
+    prior_share = prior / known.sum()
+    means = jnp.where(known, densities, 0.0).sum(axis=0) / seen
+    return prior_share - jnp.mean(means)

@@ -5,9 +5,16 @@ Segments of half a second (`ms_highway.irl.maximum_entropy`) are mostly noise: r
 accelerations waver by more than drivers' preferences differ. The weights that matter in
 a lane are therefore those under which all cars of a snapshot, driving on together, come
 closest to where they were recorded 1, 2, 3 and 5 s later.
+
+A fit is over the logarithms of the drivers' numbers, in the order of `DriverPrior`:
+weights, the median headway, the deviations of traits, noise, and factors while changing
+lanes.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from itertools import count
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -23,16 +30,14 @@ from ms_highway.data.learned_drivers import (
     LearnedDrivers,
     TraitPrior,
 )
+from ms_highway.geometry.curve import namespace
 from ms_highway.irl.driving import lane_numbers, roll_out, shown_traits
+from ms_highway.irl.horizons import robust_errors
 from ms_highway.irl.mixture import SIDES, fit_spread
-from ms_highway.irl.prediction import (
-    fit_peers,
-    lane_advantages,
-    predict_drivers,
-    robust_errors,
-)
+from ms_highway.irl.peers import fit_peers
+from ms_highway.irl.prediction import lane_advantages, predict_drivers
 from ms_highway.irl.recording import CarFlags, CarNumbers, Cars
-from ms_highway.irl.snapshots import Snapshots
+from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 from ms_highway.numerics.estimation import (
     Parameters,
     grouped_covariance,
@@ -42,40 +47,85 @@ from ms_highway.numerics.estimation import (
 from ms_highway.runtime.arrays import Scalar, plain
 from ms_highway.runtime.process import Progress, silent
 
-SURE = 20  # steps for which a driver must be seen, to know whether it changes lanes
-COMFORT = (
-    0.1  # weight of the comfort of acceleration, which sets the scale of all others
-)
-CHANGES = " while changing lanes"  # end of the names of factors
-MEDIANS = {
-    **dict(zip(LEARNED, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)),
-    **{
-        "typical headway": 1.2,
-        "desired speeds": 0.15,
-        "headways": 0.5,
-        "patiences": 0.4,
-        "noise": 0.7,
-    },
-    **{name + CHANGES: 1.0 for name in CHANGING},
-}  # of the prior: of weights, the median headway, deviations of traits, noise, and factors while changing lanes
-FIRST = np.log(
-    [*MEDIANS.values()]
-)  # means of the prior's logarithms, from which the fit starts
-WIDE, NARROW = (
-    2.0,
-    0.7,
-)  # standard deviations of the prior's logarithms, of weights and their factors and of the rest
-DEVIATIONS = np.array(
-    [WIDE if name.removesuffix(CHANGES) in LEARNED else NARROW for name in MEDIANS]
-)
-ODDS = 3.0  # standard deviation of the prior of an intention's numbers
-ITERATIONS, REFIT = (
-    60,
-    10,
-)  # of the fit to all drivers, and of fits to some of them that start from it
-FOLDS = 3  # of recordings, to learn the spread of drivers who were not learned from
-DIFFERENCE = 0.02  # of logarithms, for second derivatives in single precision
-AT_ONCE = 35  # snapshots, so that gradients fit in memory
+
+@dataclass(frozen=True)
+class DriverPrior:
+    """Hold the prior of drivers: independent log-normal distributions of positive
+    numbers.
+    """
+
+    while_changing: ClassVar[str] = " while changing lanes"
+    """End of the names of factors."""
+
+    weights: Mapping[str, float] = field(
+        default_factory=lambda: dict(
+            zip(LEARNED, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)
+        )
+    )
+    """Medians of the weights, relative to that of the comfort of acceleration, 0.1."""
+    traits: Mapping[str, float] = field(
+        default_factory=lambda: {
+            "typical headway": 1.2,
+            "desired speeds": 0.15,
+            "headways": 0.5,
+            "patiences": 0.4,
+            "noise": 0.7,
+        }
+    )
+    """Medians of the typical headway [s], of the standard deviations of traits'
+    logarithms, and of the noise of accelerations [m/s^2].
+    """
+    weight_deviation: float = 2.0
+    """Standard deviation of the logarithms of weights and of their factors."""
+    trait_deviation: float = 0.7
+    """Standard deviation of all other logarithms."""
+    odds_deviation: float = 3.0
+    """Standard deviation of the numbers of an intention, which are normal around 0."""
+
+    @property
+    def medians(self) -> dict[str, float]:
+        """Medians of all numbers, by name; those of factors are 1."""
+        factors = {name + self.while_changing: 1.0 for name in CHANGING}
+        return {**self.weights, **self.traits, **factors}
+
+    @property
+    def means(self) -> Parameters:
+        """Means of the logarithms, from which a fit starts."""
+        return np.log(list(self.medians.values()))
+
+    @property
+    def deviations(self) -> Parameters:
+        """Standard deviations of the logarithms."""
+        of_weights = [
+            name.removesuffix(self.while_changing) in LEARNED for name in self.medians
+        ]
+        return np.where(of_weights, self.weight_deviation, self.trait_deviation)
+
+
+PRIOR = DriverPrior()
+
+
+@dataclass(frozen=True)
+class DriverFit:
+    """Set how drivers are fitted to recordings."""
+
+    comfort_weight: float = 0.1
+    """Given weight of the comfort of acceleration: it sets the scale of all others."""
+    min_steps: int = 20
+    """Steps for which a driver must be seen, to know whether it changes lanes: 2 s."""
+    iterations: int = 60
+    """Iterations of the fit to all drivers."""
+    refit_iterations: int = 10
+    """Iterations of a fit to some drivers, which starts from the fit to all."""
+    folds: int = 3
+    """Folds of recordings, to learn the spread of drivers who were not learned from."""
+    difference: float = 0.02
+    """Difference of logarithms for second derivatives, in single precision."""
+    batch_size: int = 35
+    """Snapshots that are computed at once, so that gradients fit in memory."""
+
+
+FIT = DriverFit()
 
 
 def learn_drivers(
@@ -95,33 +145,25 @@ def learn_drivers(
     """
     if not np.any(_labels(snapshots)[0]):
         raise ValueError(
-            f"no driver was seen for {SURE / 10:g} s; nothing can be learned seconds"
-            " ahead"
+            f"no driver was seen for {FIT.min_steps / SNAPSHOT.steps_per_second:g} s;"
+            " nothing can be learned seconds ahead"
         )
-    found, drivers = _fit_drivers(snapshots, progress)
-    groups = np.unique(snapshots.group[snapshots.which])
-    parts = [(snapshots, drivers)]
-    if (
-        len(groups) >= FOLDS
-    ):  # or else the spread is that of drivers who were learned from: too narrow for others
-        fold = np.searchsorted(groups, snapshots.group) % FOLDS
-        rest = [
-            _fit_drivers(snapshots.only(fold != number), progress, found, REFIT)[1]
-            for number in range(FOLDS)
-        ]
-        parts = [
-            (snapshots.of(fold == number), drivers)
-            for number, drivers in enumerate(rest)
-        ]
-    predicted = [
-        (predict_drivers(some, fitted), some.recorded) for some, fitted in parts
-    ]
-    spread = fit_spread(*jax.tree.map(lambda *rows: np.concatenate(rows), *predicted))
-    deviations = (
-        dict(zip(MEDIANS, _deviations(found, snapshots), strict=True))
-        if intervals
-        else {}
+    logarithms, drivers = _fit_drivers(
+        snapshots, progress, PRIOR.means, iterations=FIT.iterations
     )
+
+    # The spread around predictions of drivers who were not learned from.
+    predicted = [
+        (predict_drivers(some, fitted), some.recorded)
+        for some, fitted in _held_out(snapshots, progress, logarithms, drivers)
+    ]
+    modes, positions = jax.tree.map(lambda *rows: np.concatenate(rows), *predicted)
+    spread = fit_spread(modes, positions)
+
+    deviations: dict[str, float] = {}
+    if intervals:
+        found = _deviations(logarithms, snapshots)
+        deviations = dict(zip(PRIOR.medians, found, strict=True))
     progress("fitting the predictors to compare with")
     return LearnedDrivers(
         **structs.asdict(plain(drivers)),
@@ -131,53 +173,88 @@ def learn_drivers(
     )
 
 
+def _held_out(
+    snapshots: Snapshots, progress: Progress, logarithms: Parameters, drivers: Drivers
+) -> list[tuple[Snapshots, Drivers]]:
+    """Return the snapshots of each fold, with drivers learned from the others.
+
+    With fewer groups than folds, return all snapshots with the drivers that were
+    learned from them; the spread is then too narrow for other drivers.
+
+    Args:
+        snapshots: all of them.
+        progress: called with a message when a part begins.
+        logarithms: of the drivers that were learned from all snapshots.
+        drivers: that were learned from all snapshots.
+    """
+    groups = np.unique(snapshots.group[snapshots.which])
+    if len(groups) < FIT.folds:
+        return [(snapshots, drivers)]
+    fold = np.searchsorted(groups, snapshots.group) % FIT.folds
+    of_others = []
+    for number in range(FIT.folds):
+        others = snapshots.only(fold != number)
+        _, fitted = _fit_drivers(others, progress, logarithms, FIT.refit_iterations)
+        of_others.append(fitted)
+    return [
+        (snapshots.of(fold == number), fitted)
+        for number, fitted in enumerate(of_others)
+    ]
+
+
 def _fit_drivers(
-    snapshots: Snapshots,
-    progress: Progress,
-    first: Parameters = FIRST,
-    iterations: int = ITERATIONS,
+    snapshots: Snapshots, progress: Progress, first: Parameters, iterations: int
 ) -> tuple[Parameters, Drivers]:
-    """Return the logarithms, as in `FIRST`, under which drivers come closest to the
-    recording; and these drivers.
+    """Return the logarithms under which drivers come closest to the recording, and
+    these drivers.
 
     The drivers have the intention that makes their lane changes most likely.
+
+    Args:
+        snapshots: to learn from.
+        progress: called with a message before each evaluation.
+        first: logarithms to start from.
+        iterations: of the optimiser, at most.
     """
     learned_from, _ = _labels(snapshots)
     number = learned_from.sum()
     used = learned_from.any(axis=1).sum()
     data = jax.device_put(snapshots)
     evaluations = count(1)
+    means = PRIOR.means
+    deviations = PRIOR.deviations
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
+        """Return minus the log posterior per driver, and its slope."""
         progress(
             f"fitting {used} snapshots seconds ahead, evaluation {next(evaluations)}"
         )
         error, slope = _mean_error(logarithms, data)
-        far = (logarithms - FIRST) / DEVIATIONS
-        prior = far @ far / (2 * number)
-        prior_slope = far / DEVIATIONS / number
+        standard = (logarithms - means) / deviations
+        prior = standard @ standard / (2 * number)
+        prior_slope = standard / deviations / number
         return float(error) + prior, np.asarray(slope, dtype=float) + prior_slope
 
-    found = minimum(loss, first, maxiter=iterations, ftol=1e-6)
-    return found, structs.replace(_drivers_of(found), intention=_fit_intention(data))
+    logarithms = minimum(loss, first, maxiter=iterations, ftol=1e-6)
+    keeping_lanes = _drivers_of(logarithms)
+    drivers = structs.replace(keeping_lanes, intention=_fit_intention(data))
+    return logarithms, drivers
 
 
 def _drivers_of(logarithms: Parameters) -> Drivers:
-    """Return the drivers with these logarithms, as in `FIRST`; they keep their lanes."""
-    xp = logarithms.__array_namespace__()
-    parts = xp.split(xp.exp(logarithms), [len(LEARNED), len(MEDIANS) - len(CHANGING)])
-    weights, (headway, *deviations, noise), factors = parts
-    prior = TraitPrior(
-        xp.stack([xp.ones_like(headway), headway, xp.ones_like(headway)]),
-        xp.stack(deviations),
-        noise,
-    )
+    """Return the drivers with these logarithms, who keep their lanes."""
+    xp = namespace(logarithms)
+    ends = [len(PRIOR.weights), len(PRIOR.weights) + len(PRIOR.traits)]
+    weights, traits, factors = xp.split(xp.exp(logarithms), ends)
+    headway, *deviations, noise = traits
+    one = xp.ones_like(headway)  # median share of the speed limit, and patience
+    prior = TraitPrior(xp.stack([one, headway, one]), xp.stack(deviations), noise)
     named = {
         **dict(zip(LEARNED, weights, strict=True)),
-        "comfort_acceleration": COMFORT,
+        "comfort_acceleration": FIT.comfort_weight,
     }
-    keeping = Intention(np.full(2, -20.0), np.zeros(6))  # type: ignore[arg-type]
-    return Drivers(named, prior, dict(zip(CHANGING, factors, strict=True)), keeping)
+    never = Intention(np.full(2, -20.0), np.zeros(6))  # type: ignore[arg-type]
+    return Drivers(named, prior, dict(zip(CHANGING, factors, strict=True)), never)
 
 
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
@@ -187,11 +264,12 @@ def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
     A driver to predict is learned from if it is seen for 2 s, and if its last position
     within 5 s is in its own lane or in a lane beside it.
     """
-    y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]
+    y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]  # [times, cars]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
     last = jnp.take_along_axis(y, seen[None], axis=0)[0]
     side = lane_numbers(snapshot.lanes, last) - lane_numbers(snapshot.lanes, y[0])
-    learned_from = snapshot.predicted & (seen >= SURE) & (jnp.abs(side) <= 1)
+    is_known = (seen >= FIT.min_steps) & (jnp.abs(side) <= 1)
+    learned_from = snapshot.predicted & is_known
     return learned_from, side * learned_from
 
 
@@ -211,23 +289,23 @@ def _shares(logarithms: Parameters, snapshots: Snapshots) -> Cars:
     """Return every driver's share [n, cars] of the mean error."""
     drivers = _drivers_of(logarithms)
 
-    def one(snapshot: Snapshots) -> tuple[Cars, Cars]:
+    def errors_of(snapshot: Snapshots) -> tuple[Cars, Cars]:
+        """Return the sum of each car's errors, and their number."""
         learned_from, side = _label(snapshot)
         traits = shown_traits(drivers, snapshot)
         path = roll_out(drivers, snapshot, traits, side)[..., :2]
         errors, known = robust_errors(path, snapshot.future, learned_from)
         return jnp.sum(errors, axis=(0, 2)), known.sum(axis=0)
 
-    errors, known = jax.lax.map(one, snapshots, batch_size=AT_ONCE)
+    errors, known = jax.lax.map(errors_of, snapshots, batch_size=FIT.batch_size)
     return errors / known.sum()
 
 
-_scores = jax.jit(
-    jax.jacfwd(_shares)
-)  # slopes of every driver's share [n, cars, parameters]
+# Slopes of every driver's share [n, cars, parameters].
+_scores = jax.jit(jax.jacfwd(_shares))
 
 
-def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
+def _deviations(logarithms: Parameters, snapshots: Snapshots) -> list[float]:
     """Return the standard deviations of the logarithms that were found, with drivers as
     the independent units.
 
@@ -236,15 +314,17 @@ def _deviations(found: Parameters, snapshots: Snapshots) -> list[float]:
     """
     data = jax.device_put(snapshots)
     learned_from = np.asarray(_labels(snapshots)[0])
-    hessian = slope_differences(
-        lambda logarithms: _mean_error(logarithms, data)[1], found, DIFFERENCE
-    )
-    prior = np.diag(1 / DEVIATIONS**2) / learned_from.sum()
+
+    def slope(logarithms: Parameters) -> jax.Array:
+        return _mean_error(logarithms, data)[1]
+
+    hessian = slope_differences(slope, logarithms, FIT.difference)
+    prior = np.diag(1 / PRIOR.deviations**2) / learned_from.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
-    scores = np.asarray(_scores(found, data), dtype=float)[learned_from]
-    return np.sqrt(
-        np.diag(grouped_covariance(inverse, scores, snapshots.track[learned_from]))
-    ).tolist()
+    scores = np.asarray(_scores(logarithms, data), dtype=float)[learned_from]
+    tracks = snapshots.track[learned_from]
+    covariance = grouped_covariance(inverse, scores, tracks)
+    return np.sqrt(np.diag(covariance)).tolist()
 
 
 def _fit_intention(snapshots: Snapshots) -> Intention:
@@ -254,17 +334,19 @@ def _fit_intention(snapshots: Snapshots) -> Intention:
     advantages, exist = (
         np.asarray(part, dtype=float)[learned_from] for part in _advantages(snapshots)
     )
+    drivers = np.arange(len(mode))
 
     def loss(numbers: Parameters) -> float:
+        """Return minus the log posterior, given the biases and the weights."""
         odds = np.where(exist, numbers[:2] + advantages @ numbers[2:], -np.inf)
         odds = np.pad(odds, ((0, 0), (1, 0)))  # of keeping the lane: 0
-        log_likelihoods = odds[np.arange(len(mode)), mode] - special.logsumexp(
-            odds, axis=1
-        )
-        return float(numbers @ numbers / (2 * ODDS**2) - log_likelihoods.sum())
+        log_likelihoods = odds[drivers, mode] - special.logsumexp(odds, axis=1)
+        prior = numbers @ numbers / (2 * PRIOR.odds_deviation**2)
+        return float(prior - log_likelihoods.sum())
 
-    found = optimize.minimize(loss, np.array([-3.0, -3.0, *np.zeros(6)])).x
-    return Intention(found[:2], found[2:])
+    first = np.array([-3.0, -3.0, *np.zeros(6)])
+    numbers = optimize.minimize(loss, first).x
+    return Intention(numbers[:2], numbers[2:])
 
 
 _advantages = jax.jit(jax.vmap(lane_advantages))

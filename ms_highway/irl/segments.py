@@ -1,15 +1,13 @@
-"""Cut recordings into segments, each with a driver's controls and its neighbours, and
-compute their features.
+"""Cut recordings into segments of a driver's controls, and compute their features.
 
 Maximum entropy learns from segments of half a second, see
 `ms_highway.irl.maximum_entropy`.
 """
 
-import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from itertools import pairwise
 
 import jax
 import numpy as np
@@ -26,17 +24,15 @@ from ms_highway.irl.recording import (
     CarStates,
     Controls,
     Flags,
+    NumberedRecording,
     Numbers,
     Recording,
     Rows,
     States,
     numbered,
-    track_of,
 )
+from ms_highway.irl.tracks import track_of
 from ms_highway.runtime.arrays import Array
-
-KINK = 0.05  # sine of the heading, below which noise may turn the car to either side
-SATURATED = 0.8  # share of the limits of plans, from which controls count as saturated
 
 
 @jax.tree_util.register_dataclass
@@ -61,7 +57,7 @@ class Segments(Rows):
     speed_limit: Float[Array, "*n"]
     start: States
     controls: Controls
-    others: Float[Any, "*n 6 K 4"]
+    others: Float[Array, "*n 6 K 4"]
     driver: Numbers
     group: Numbers
 
@@ -77,45 +73,55 @@ def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
     Raises:
         ValueError: if no segment is regular.
     """
-    rows = []
-    for recording, group, first_track, lanes in numbered(recordings):
-        states = _extrapolated(recording.states)
-        for number, driver in enumerate(recording.drivers, first_track):
-            size = recording.sizes[driver]
-            scene = Scene(
-                lanes, recording.lane_width, car_size=size, target_lane=lanes[0]
-            )
-            track = track_of(recording, driver)
-            entry = recording.seen[:, driver].argmax()
-            for first in range(0, len(track.controls) - steps + 1, steps):
-                start = track.states[first]
-                now = entry + first
-                present = recording.seen[now] & (
-                    np.arange(len(recording.sizes)) != driver
-                )
-                cars, taken = places(start, states[now], present, recording.lane_width)
-                paths = np.moveaxis(states[now + 1 : now + steps + 1, cars], 0, 1)
-                others = np.where(taken[:, None, None], paths, far_behind(start))
-                controls = track.controls[first : first + steps]
-                rows.append(
-                    Segments(
-                        scene,
-                        np.asarray(recording.speed_limit),
-                        start,
-                        controls,
-                        others,
-                        number,
-                        group,
-                    )
-                )
-    segments = jax.tree.map(lambda *parts: np.stack(parts), *rows) if rows else None
-    if segments is None or not (chosen := regular(segments)).any():
-        raise ValueError(
-            f"nothing can be learned from the {len(recordings)} recordings: no driver"
-            f" was seen for {steps + 1} samples without a gap, or all are at the limits"
-            " of control or at the edge of the road"
+    rows = [segment for each in numbered(recordings) for segment in _cut(each, steps)]
+    if rows:
+        segments = jax.tree.map(lambda *parts: np.stack(parts), *rows)
+        chosen = regular(segments)
+        if chosen.any():
+            return segments.of(chosen)
+    raise ValueError(
+        f"nothing can be learned from the {len(recordings)} recordings: no driver"
+        f" was seen for {steps + 1} samples without a gap, or all are at the limits"
+        " of control or at the edge of the road"
+    )
+
+
+def _cut(numbered_recording: NumberedRecording, steps: int) -> Iterator[Segments]:
+    """Yield the segments of one recording, each without the axis of segments."""
+    recording, group, first_track, lanes = numbered_recording
+    states = _extrapolated(recording.states)
+    cars = np.arange(len(recording.sizes))
+    for number, driver in enumerate(recording.drivers, first_track):
+        scene = Scene(
+            lanes,
+            recording.lane_width,
+            car_size=recording.sizes[driver],
+            target_lane=lanes[0],
         )
-    return segments.of(chosen)
+        track = track_of(recording, driver)
+        entry = recording.seen[:, driver].argmax()
+        for first in range(0, len(track.controls) - steps + 1, steps):
+            start = track.states[first]
+            now = entry + first
+
+            # The neighbours at the start, and their paths; free places are far behind.
+            is_other = recording.seen[now] & (cars != driver)
+            neighbours, taken = places(
+                start, states[now], is_other, recording.lane_width
+            )
+            after = states[now + 1 : now + steps + 1, neighbours]
+            paths = np.moveaxis(after, 0, 1)  # [neighbours, steps, 4]
+            others = np.where(taken[:, None, None], paths, far_behind(start))
+
+            yield Segments(
+                scenes=scene,
+                speed_limit=np.asarray(recording.speed_limit),
+                start=start,
+                controls=track.controls[first : first + steps],
+                others=others,
+                driver=number,
+                group=group,
+            )
 
 
 def _extrapolated(states: CarStates) -> CarStates:
@@ -123,9 +129,10 @@ def _extrapolated(states: CarStates) -> CarStates:
     last seen.
     """
     states = states.copy()
-    for before, after in itertools.pairwise(states):
-        kept = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
-        after[:] = np.where(np.isnan(after).any(axis=-1, keepdims=True), kept, after)
+    for before, after in pairwise(states):
+        keeping = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
+        is_unseen = np.isnan(after).any(axis=-1, keepdims=True)
+        after[:] = np.where(is_unseen, keeping, after)
     return states
 
 
@@ -138,14 +145,15 @@ def regular(segments: Segments) -> Flags:
     ``off_road`` has a kink there, as another corner becomes the outermost, and a car
     that slides along the edge stays at the kink whatever the weight is.
     """
+    kink_sine = 0.05  # of the heading, below which noise may turn to either side
+    saturation = 0.8  # share of the limits of plans from which controls are near them
+
     paths = rollout(PAPER_DYNAMICS, segments.start, segments.controls)
-    off_road = (
-        jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths) > 0
-    )
-    at_kink = (off_road & (jnp.abs(paths.sine) < KINK)).any(axis=1)
-    saturated = (np.abs(segments.controls) > SATURATED * np.array(PHYSICAL_LIMIT)).any(
-        axis=(1, 2)
-    )
+    depths = jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths)
+    at_kink = ((depths > 0) & (jnp.abs(paths.sine) < kink_sine)).any(axis=1)
+
+    limits = saturation * np.array(PHYSICAL_LIMIT)
+    saturated = (np.abs(segments.controls) > limits).any(axis=(1, 2))
     return ~np.asarray(at_kink) & ~saturated
 
 
@@ -160,12 +168,10 @@ def driver_game(
     """
     scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
-    game = driving_game(
-        scene, float(segments.speed_limit[0]), weights, computed, grip=None
-    )
-    return replace(
-        game, planner=replace(game.planner, horizon=segments.controls.shape[1])
-    )
+    speed_limit = float(segments.speed_limit[0])
+    game = driving_game(scene, speed_limit, weights, computed, grip=None)
+    horizon = segments.controls.shape[1]
+    return replace(game, planner=replace(game.planner, horizon=horizon))
 
 
 def with_segment(game: Game, segment: Segments) -> Game:
@@ -189,10 +195,9 @@ def summed_features(
     here = with_segment(game, segment)
     start = jnp.asarray(segment.start)
     path = Motion(*move(game, start, controls))
-    features = jnp.stack(
-        motion_features(here.scene, here.robot, path, observe(segment.others))
-    ).sum(axis=1)
-    deviation = (
-        controls - keep_velocity(game.dynamics, start) / game.planner.control_scale
-    )
-    return jnp.concatenate([features, -jnp.sum(deviation**2, axis=0) / 2])
+    others = observe(segment.others)
+    features = jnp.stack(motion_features(here.scene, here.robot, path, others))
+
+    keeping = keep_velocity(game.dynamics, start) / game.planner.control_scale
+    comfort = -jnp.sum((controls - keeping) ** 2, axis=0) / 2
+    return jnp.concatenate([features.sum(axis=1), comfort])

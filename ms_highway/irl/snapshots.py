@@ -1,5 +1,4 @@
-"""Cut recordings into snapshots: all cars at one time, their past, and where they went
-afterwards.
+"""Cut recordings into snapshots: all cars at one time, their past and their future.
 
 Predictors start from snapshots; `ms_highway.irl.seconds_ahead` learns drivers from
 them.
@@ -7,7 +6,7 @@ them.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Self
 
 import jax
 import numpy as np
@@ -19,37 +18,36 @@ from ms_highway.irl.recording import (
     Cars,
     CarStates,
     Flags,
+    NumberedRecording,
     Numbers,
     Recording,
     Rows,
     numbered,
 )
-from ms_highway.runtime.arrays import Array
+from ms_highway.runtime.arrays import Array, SameArray
 
-PAST_STEPS = 30
-"""Steps of 0.1 s before a moment, from which the traits of drivers are inferred."""
+Paths = Float[Array, "n 50 2"]  # x and y after each step of 5 s
 
-STEPS = 50
-"""Steps of 0.1 s after a moment, in which drivers drive."""
 
-HORIZONS = (1, 2, 3, 5)
-"""Seconds after which predictions are compared with recordings."""
+@dataclass(frozen=True)
+class SnapshotSettings:
+    """Set what a snapshot holds, and how many are cut."""
 
-AT = 10 * np.array(HORIZONS) - 1
-"""Indices of the horizons among the steps."""
+    steps_per_second: int = 10
+    """Steps of a second."""
+    past_steps: int = 30
+    """Steps before a snapshot, from which the traits of drivers are inferred."""
+    future_steps: int = 50
+    """Steps after a snapshot, in which drivers drive."""
+    min_future_steps: int = 10
+    """Steps for which a driver must be seen after a snapshot."""
+    steps_between: int = 10
+    """Steps between two snapshots in which a driver is predicted."""
+    min_cars: int = 64
+    """Number to which cars are padded: one compilation serves most recordings."""
 
-SCALES = np.array([[0.4, 0.1], [1.0, 0.3], [1.8, 0.5], [3.5, 0.8]])
-"""Typical errors at the horizons, along and across the road [m], by which fits divide
-errors.
-"""
 
-APART = 10  # steps between two snapshots in which a driver is predicted
-SHORTEST = 10  # steps for which a driver must be seen after a snapshot
-MIN_CARS = (
-    64  # to which cars are padded, so that one compilation serves most recordings
-)
-
-Paths = Float[Any, "n 50 2"]  # x and y after each step of 5 s
+SNAPSHOT = SnapshotSettings()
 
 
 @jax.tree_util.register_dataclass
@@ -75,7 +73,7 @@ class Snapshots(Rows):
 
     past: CarStates
     future: CarStates
-    sizes: Float[Any, "n cars 2"]
+    sizes: Float[Array, "n cars 2"]
     lanes: Cars
     lane_width: Float[Array, "*n"]
     speed_limit: Float[Array, "*n"]
@@ -100,7 +98,7 @@ class Snapshots(Rows):
         """Number of the snapshot of each predicted driver."""
         return np.nonzero(self.predicted)[0]
 
-    def drivers(self, values: Any) -> Any:
+    def drivers(self, values: SameArray) -> SameArray:
         """Return those of the values [n, cars, ...] that belong to predicted drivers,
         snapshot after snapshot.
         """
@@ -120,42 +118,62 @@ def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
     Raises:
         ValueError: if no driver was seen for a second.
     """
-    rows = list[Snapshots]()
-    cars = max((MIN_CARS, *(item.states.shape[1] for item in recordings)))
-    for recording, group, first_track, lanes in numbered(recordings):
-        missing = cars - recording.states.shape[1]
-        states = np.pad(
-            recording.states,
-            ((PAST_STEPS, STEPS), (0, missing), (0, 0)),
-            constant_values=np.nan,
-        )
-        sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
-        track = np.full(cars, -1)
-        predicted = np.zeros((len(recording.states), cars), dtype=bool)
-        track[recording.drivers] = first_track + np.arange(len(recording.drivers))
-        for car in recording.drivers:
-            seen = np.flatnonzero(recording.seen[:, car])
-            predicted[seen[0] : max(seen[-1] - SHORTEST + 1, 0) : APART, car] = True
-        for time in np.flatnonzero(predicted.any(axis=1)):
-            past, future = np.split(
-                states[time : time + PAST_STEPS + 1 + STEPS], [PAST_STEPS + 1]
-            )
-            rows.append(
-                Snapshots(
-                    past,
-                    future,
-                    sizes,
-                    lanes,
-                    np.asarray(recording.lane_width),
-                    np.asarray(recording.speed_limit),
-                    predicted[time],
-                    track,
-                    group,
-                )
-            )
-    if not rows:
+    numbers = [recording.states.shape[1] for recording in recordings]
+    cars = max([SNAPSHOT.min_cars, *numbers])
+    snapshots = [
+        snapshot for each in numbered(recordings) for snapshot in _cut(each, cars)
+    ]
+    if not snapshots:
         raise ValueError(
             f"no driver of the {len(recordings)} recordings was seen for"
-            f" {SHORTEST / 10:g} s"
+            f" {SNAPSHOT.min_future_steps / SNAPSHOT.steps_per_second:g} s"
         )
-    return jax.tree.map(lambda *parts: np.stack(parts), *rows)
+    return jax.tree.map(lambda *parts: np.stack(parts), *snapshots)
+
+
+def _cut(numbered_recording: NumberedRecording, cars: int) -> list[Snapshots]:
+    """Return the snapshots of one recording, each without the axis of snapshots.
+
+    Args:
+        numbered_recording: the recording with its numbers.
+        cars: number to which its cars are padded.
+    """
+    recording, group, first_track, lanes = numbered_recording
+    past_steps = SNAPSHOT.past_steps
+    future_steps = SNAPSHOT.future_steps
+
+    # Pad cars, and times before and after the recording.
+    missing = cars - recording.states.shape[1]
+    states = np.pad(
+        recording.states,
+        ((past_steps, future_steps), (0, missing), (0, 0)),
+        constant_values=np.nan,
+    )
+    sizes = np.pad(recording.sizes, ((0, missing), (0, 0)), constant_values=1.0)
+
+    # Which cars are predicted at each time.
+    track = np.full(cars, -1)
+    track[recording.drivers] = first_track + np.arange(len(recording.drivers))
+    predicted = np.zeros((len(recording.states), cars), dtype=bool)
+    for car in recording.drivers:
+        seen = np.flatnonzero(recording.seen[:, car])
+        end = max(seen[-1] - SNAPSHOT.min_future_steps + 1, 0)
+        predicted[seen[0] : end : SNAPSHOT.steps_between, car] = True
+
+    snapshots = []
+    for time in np.flatnonzero(predicted.any(axis=1)):
+        around = states[time : time + past_steps + 1 + future_steps]
+        past, future = np.split(around, [past_steps + 1])
+        snapshot = Snapshots(
+            past=past,
+            future=future,
+            sizes=sizes,
+            lanes=lanes,
+            lane_width=np.asarray(recording.lane_width),
+            speed_limit=np.asarray(recording.speed_limit),
+            predicted=predicted[time],
+            track=track,
+            group=group,
+        )
+        snapshots.append(snapshot)
+    return snapshots

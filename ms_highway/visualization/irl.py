@@ -15,10 +15,11 @@ from matplotlib.ticker import PercentFormatter
 from ms_highway.data.learned_drivers import LearnedDrivers
 from ms_highway.data.learned_reward import LearnedReward, log_normal_interval
 from ms_highway.irl.evaluation import LEVELS, MISS, Evaluation
+from ms_highway.irl.horizons import HORIZONS
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Recording
-from ms_highway.irl.snapshots import HORIZONS, cut_snapshots
+from ms_highway.irl.snapshots import cut_snapshots
 from ms_highway.visualization.style import legend, styled
 from ms_highway.visualization.tables import grid, texts
 
@@ -103,7 +104,11 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
                 color=color,
                 label=title,
             )
-        axes.set(xlabel="horizon [s]", ylabel=label, xticks=range(1, max(HORIZONS) + 1))
+        axes.set(
+            xlabel="horizon [s]",
+            ylabel=label,
+            xticks=range(1, max(HORIZONS.seconds) + 1),
+        )
         axes.grid(axis="y")
         if kind.startswith("inside"):
             share = int(kind.split()[1]) / 100
@@ -262,7 +267,9 @@ def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
     densities by driving regime.
     """
     rows = []
-    for horizon, (name, label) in product(map(str, HORIZONS), PREDICTORS.items()):
+    for horizon, (name, label) in product(
+        map(str, HORIZONS.seconds), PREDICTORS.items()
+    ):
         found = {
             kind: values[horizon]
             for kind, values in evaluation.predictors[name].items()

@@ -19,7 +19,7 @@ from recordings import (
 )
 
 from ms_highway.irl.commonroad import read_directory
-from ms_highway.irl.recording import usable_recordings
+from ms_highway.irl.usable import usable_recordings
 
 
 def read(directory, *texts):

@@ -27,10 +27,10 @@ from ms_highway.irl.mixture import (
     fit_spread,
     log_density,
 )
+from ms_highway.irl.peers import predict_peer
 from ms_highway.irl.prediction import (
     PREDICTORS,
     predict_drivers,
-    predict_peer,
     predict_with,
 )
 from ms_highway.irl.recording import Recording, known_from, sources

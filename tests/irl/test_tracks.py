@@ -7,7 +7,8 @@ import numpy as np
 
 from ms_highway.game.dynamics import step
 from ms_highway.game.scenario import PAPER_DYNAMICS
-from ms_highway.irl.recording import Recording, track_of
+from ms_highway.irl.recording import Recording
+from ms_highway.irl.tracks import track_of
 
 TIME = np.arange(80) * 0.1
 WAVE = np.stack(
