@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.irl.recording import Recording, fingerprint
@@ -11,7 +12,6 @@ from ms_highway.recorded.commonroad import read_scenario, scenario_files
 from ms_highway.recorded.network import smooth_curves
 from ms_highway.recorded.scenario import Points, TrafficRecording
 from ms_highway.recorded.straight_road import straight_road
-from ms_highway.runtime.arrays import Vector
 
 TrackIdentity = tuple[str, int, float, float]
 """Group of the recording, number of the track, and where it begins in the map."""
@@ -113,7 +113,7 @@ class ParallelLanes(NamedTuple):
     """
 
     curve: Curve
-    lanes: Vector
+    lanes: Float[np.ndarray, "lanes"]
 
 
 def _parallel_lanes(lines: list[Points]) -> ParallelLanes:

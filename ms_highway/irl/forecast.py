@@ -115,7 +115,7 @@ def predict(
     # Only the cars and the steps that were asked for.
     weights = np.asarray(modes.probability)[:cars]
     means = np.asarray(modes.path)[:cars, :, :steps]
-    mean = expected_path(modes)[:cars, :steps]
+    mean = np.asarray(expected_path(modes))[:cars, :steps]
 
     # The mixture's covariance: that of each mode, and of the means of modes.
     covariances = _covariances(spread, means.shape[1], steps)
@@ -177,7 +177,7 @@ def _snapshot(
         speed_limit=np.asarray(speed_limit),
         predicted=numbers >= 0,
         track=numbers,
-        group=0,
+        group=np.asarray(0),
     )
     return jax.tree.map(lambda part: np.asarray(part)[None], snapshot)
 

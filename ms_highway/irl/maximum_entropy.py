@@ -181,7 +181,7 @@ def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
     def features(controls: jax.Array) -> jax.Array:
         return summed_features(game, segment, controls.reshape(-1, 2))
 
-    controls = (segment.controls / game.planner.control_scale).ravel()
+    controls = jnp.asarray(segment.controls / game.planner.control_scale).ravel()
     gradients = jax.jacrev(features)
     hessians = jax.jacfwd(gradients)
     return FeatureDerivatives(
@@ -321,7 +321,7 @@ def fit_weights(
         covariance = np.linalg.pinv(whole_hessian, hermitian=True)
         if drivers is not None:
             scores = np.asarray(_segment_scores(best, *data))
-            covariance = grouped_covariance(covariance, scores, drivers)
+            covariance = grouped_covariance(covariance, scores, np.asarray(drivers))
         log_likelihood = float(likelihoods.mean())
         weights = model.weights(best)
     temperature, *tails = np.exp(best[learned:]).tolist()

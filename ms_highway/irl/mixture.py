@@ -137,7 +137,7 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
 
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
-    known = np.isfinite(positions).all(axis=-1)[:, SPREAD_FIT.times]
+    known = np.all(np.isfinite(positions), axis=-1)[:, SPREAD_FIT.times]
     first = np.array(SPREAD_FIT.first)
     parameters = minimum(_loss, first, modes, np.nan_to_num(positions), known)
     return plain(_spread_of(parameters))

@@ -91,7 +91,7 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     before = jnp.concatenate([now[None], after[:-1]])
 
     # Each car drives in each mode, among the others as they drove then.
-    def in_mode(side: jax.Array) -> jax.Array:
+    def in_mode(side: jax.Array) -> CarStates:
         sides_of_all = jnp.full(len(now), side)
         return roll_out(drivers, snapshot, traits, sides_of_all, before)
 
@@ -115,8 +115,8 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     second = SNAPSHOT.steps_per_second
     times = TIME_STEP * (np.arange(second + 1) - second / 2)
     recent_y = snapshot.past[-second - 1 :, :, 1]
-    recent_drift = times @ recent_y / (times @ times)
-    recent_drift = jnp.where(jnp.isfinite(recent_drift), recent_drift, drift)
+    slope = times @ recent_y / (times @ times)  # NaN for cars that were not seen
+    recent_drift = jnp.where(jnp.isfinite(slope), slope, drift)
 
     def relative_speed(leader: Leader) -> Cars:
         """Return the speed of leaders relative to their followers, weighed by their

@@ -15,13 +15,12 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ms_highway.runtime.arrays import Array, Vector
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.sources import digest_of
 
 # Arrays of learning and prediction, of NumPy or JAX
 Flags = Bool[Array, "n"]
 Numbers = Int[Array, "n"]
-Points = Float[Array, "points 2"]
 States = Float[Array, "*times 4"]  # x, y, heading and speed
 Controls = Float[Array, "*n steps 2"]
 Cars = Float[Array, "*n cars"]
@@ -56,10 +55,10 @@ class Recording:
 
     name: str
     group: str
-    states: CarStates
-    drivers: Numbers
-    sizes: Points
-    lanes: Vector
+    states: Float[np.ndarray, "times cars 4"]
+    drivers: Int[np.ndarray, "drivers"]
+    sizes: Float[np.ndarray, "cars 2"]
+    lanes: Float[np.ndarray, "lanes"]
     lane_width: float
     speed_limit: float
     measured: bool = True
@@ -92,9 +91,9 @@ class Recording:
         return self.labels[car] if self.labels else f"car {car}"
 
     @cached_property
-    def seen(self) -> CarFlags:
-        """Whether each car was seen at each time [times, cars]."""
-        return np.isfinite(self.states).all(axis=-1)
+    def seen(self) -> Bool[np.ndarray, "times cars"]:
+        """Whether each car was seen at each time."""
+        return np.all(np.isfinite(self.states), axis=-1)
 
 
 def fingerprint(numbers: np.ndarray) -> str:
@@ -149,7 +148,7 @@ class NumberedRecording(NamedTuple):
     recording: Recording
     group: int
     first_track: int
-    lanes: Vector
+    lanes: Float[np.ndarray, "lanes"]
 
 
 def numbered(recordings: Sequence[Recording]) -> Iterator[NumberedRecording]:

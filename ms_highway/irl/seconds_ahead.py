@@ -322,7 +322,7 @@ def _deviations(logarithms: Parameters, snapshots: Snapshots) -> list[float]:
     prior = np.diag(1 / PRIOR.deviations**2) / learned_from.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
     scores = np.asarray(_scores(logarithms, data), dtype=float)[learned_from]
-    tracks = snapshots.track[learned_from]
+    tracks = np.asarray(snapshots.track)[learned_from]
     covariance = grouped_covariance(inverse, scores, tracks)
     return np.sqrt(np.diag(covariance)).tolist()
 

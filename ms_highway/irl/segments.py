@@ -21,7 +21,6 @@ from ms_highway.game.reward import FEATURES, features_for
 from ms_highway.game.scenario import PAPER_DYNAMICS, PHYSICAL_LIMIT, driving_game
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.irl.recording import (
-    CarStates,
     Controls,
     Flags,
     NumberedRecording,
@@ -119,12 +118,14 @@ def _cut(numbered_recording: NumberedRecording, steps: int) -> Iterator[Segments
                 start=start,
                 controls=track.controls[first : first + steps],
                 others=others,
-                driver=number,
-                group=group,
+                driver=np.asarray(number),
+                group=np.asarray(group),
             )
 
 
-def _extrapolated(states: CarStates) -> CarStates:
+def _extrapolated(
+    states: Float[np.ndarray, "times cars 4"],
+) -> Float[np.ndarray, "times cars 4"]:
     """Return the states, in which each car goes on at constant velocity after it was
     last seen.
     """

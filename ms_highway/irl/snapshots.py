@@ -91,7 +91,7 @@ class Snapshots(Rows):
         """Positions of the predicted drivers after each step, NaN where a driver was
         not seen.
         """
-        return self.drivers(np.moveaxis(self.future[..., :2], 1, 2))
+        return self.drivers(np.moveaxis(np.asarray(self.future)[..., :2], 1, 2))
 
     @property
     def which(self) -> Numbers:
@@ -173,7 +173,7 @@ def _cut(numbered_recording: NumberedRecording, cars: int) -> list[Snapshots]:
             speed_limit=np.asarray(recording.speed_limit),
             predicted=predicted[time],
             track=track,
-            group=group,
+            group=np.asarray(group),
         )
         snapshots.append(snapshot)
     return snapshots

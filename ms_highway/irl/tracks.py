@@ -6,11 +6,15 @@ from itertools import accumulate
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ms_highway.game.dynamics import recover_control, step
 from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
-from ms_highway.irl.recording import Points, Recording, States
-from ms_highway.runtime.arrays import Vector
+from ms_highway.irl.recording import Recording
+
+Values = Float[np.ndarray, "times"]
+Points = Float[np.ndarray, "times 2"]
+States = Float[np.ndarray, "times 4"]
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class Track(NamedTuple):
     """
 
     states: States
-    controls: Points
+    controls: Float[np.ndarray, "steps 2"]
 
 
 def track_of(recording: Recording, car: int) -> Track:
@@ -99,7 +103,7 @@ def smoothed(recorded: Points) -> Track:
     return Track(np.stack(list(states)), controls)
 
 
-def _fit_along(recorded: Vector, cosine: Vector) -> tuple[float, Vector]:
+def _fit_along(recorded: Values, cosine: Values) -> tuple[float, Values]:
     """Return the initial x and the speeds that fit recorded places along the road.
 
     Args:
@@ -121,8 +125,8 @@ def _fit_along(recorded: Vector, cosine: Vector) -> tuple[float, Vector]:
 
 
 def _fit_across(
-    recorded: Vector, speed: Vector, sine_per_heading: Vector
-) -> tuple[float, Vector]:
+    recorded: Values, speed: Values, sine_per_heading: Values
+) -> tuple[float, Values]:
     """Return the initial y and the headings that fit recorded places across the road.
 
     Args:
@@ -161,8 +165,8 @@ def _cumulative(increments: np.ndarray) -> np.ndarray:
 
 
 def _least_squares(
-    positions: np.ndarray, recorded: Vector, *penalties: np.ndarray
-) -> Vector:
+    positions: np.ndarray, recorded: Values, *penalties: np.ndarray
+) -> Values:
     """Return the unknowns that fit recorded positions best, with penalties.
 
     Args:
