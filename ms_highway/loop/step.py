@@ -131,8 +131,8 @@ class Carry(NamedTuple, Generic[Cars, WarmStart]):
             moved.
         model_probabilities: probability that each of the package's models predicts each
             human, see `ms_highway.choice.belief`; None on stock roads.
-        fallback: plan to fall back on in the next step, its first control counted as
-            executed.
+        fallback: plan to fall back on in the next step, from this step on: its first
+            control will be over by then.
     """
 
     memory: Memory
@@ -182,9 +182,9 @@ class StepResult(NamedTuple, Generic[WarmStart, Observation, Details]):
     Attributes:
         driven: the plan that drives; its first control is executed. If the robot
             brakes, the rungs are those of the step's own plan.
-        status: number of the status.
+        status: number of its status, see `STATUSES`.
         choice: the models of the step's own plan.
-        planned: that plan, whether it drives or not.
+        planned: the step's own plan, whether it drives or not.
     """
 
     driven: RemainingPlan[WarmStart]
@@ -201,12 +201,12 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
             carries and the cars now.
         plan: plans among the cars now, with a choice, perhaps starting from the plan to
             fall back on.
-        brake: returns what is left of a plan with braking in place of its controls,
+        brake: puts braking in place of the robot's controls in what is left of a plan,
             given the cars now.
         is_late: whether the plan, which was just made, is too late for this step; None
             if no plan ever is.
-        escape: returns the control to execute now instead of a planned one, if that
-            leaves no way out; None without such a search.
+        escape: says what to execute instead of a control, given the cars now, if that
+            leaves the robot no way out; None without such a search.
     """
 
     choose: Callable[[Carry[Cars, WarmStart], Cars], Choice[Observation]]
@@ -219,12 +219,12 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
     escape: Callable[[Cars, Control], Escape] | None = None
 
 
+# The same in games, where nothing but the states of cars is looked at.
 GameCarry: TypeAlias = Carry[State, Plan]
 GameChoice: TypeAlias = Choice[None]
 GamePlan: TypeAlias = NewPlan[Plan, None]
 GameParts: TypeAlias = Parts[State, Plan, None, None]
 GameResult: TypeAlias = StepResult[Plan, None, None]
-"""The same in games, where nothing but the states of cars is looked at."""
 
 
 # The step
@@ -267,18 +267,21 @@ def step(
         escape = parts.escape(now, driven.plan.robot[0])
         driven, fallback, status = follow_escape(driven, fallback, status, escape)
 
-    # Remember what was done; the next step looks at what comes of it.
-    # The gain of a chosen rung says nothing of another one that drives instead.
+    # Remember the rungs that drive. The gain of a chosen rung says nothing of another
+    # one that drives instead.
     chosen = choice.decision.memory
     gain = chosen.gain * (driven.rungs == chosen.rungs)
     memory = Memory(driven.rungs, carry.memory.step + 1, chosen.last_check, gain)
+
+    # Remember what was done. What comes of it shows in the next step, which completes
+    # the outcome.
     control = driven.plan.robot[0]
     outcome = carry.outcome._replace(
         before=now, after=now, robot=control, plan=driven.plan
     )
 
-    after = Carry(memory, outcome, choice.model_probabilities, fallback)
-    return after, StepResult(driven, status, choice, planned)
+    next_carry = Carry(memory, outcome, choice.model_probabilities, fallback)
+    return next_carry, StepResult(driven, status, choice, planned)
 
 
 Result = TypeVar("Result")

@@ -9,7 +9,8 @@ CERTAIN = np.eye(4)[0]
 PREDICTED = np.array([[0.0, 0.0], [0.0, -1.0], [0.0, -2.0], [0.0, -3.0]])
 
 
-def test_a_human_who_brakes_as_a_model_predicts_is_believed_to_follow_it_and_no_model_is_excluded():
+def test_the_model_that_predicted_a_human_gets_likely():
+    """No model is excluded, whatever a human does."""
     found = np.full(4, 1 / 4)
     for _ in range(50):
         found = updated_probabilities(found, PREDICTED, PREDICTED[2], 0.1)
@@ -20,9 +21,8 @@ def test_a_human_who_brakes_as_a_model_predicts_is_believed_to_follow_it_and_no_
 
 
 @pytest.mark.parametrize("steps", [1, 5])
-def test_humans_without_an_observed_control_change_their_model_at_the_same_rate_for_all_lengths_of_steps(
-    steps,
-):
+def test_unobserved_humans_change_models_at_a_rate_per_second(steps):
+    """The rate does not depend on the length of steps."""
     found = CERTAIN
     for _ in range(steps):
         found = updated_probabilities(found, PREDICTED, np.full(2, np.nan), 0.5 / steps)

@@ -30,7 +30,7 @@ def instance(random, humans, rungs):
 
 
 @pytest.mark.parametrize(("humans", "rungs"), [(4, 3), (3, 4)])
-def test_the_choice_has_the_highest_value_and_the_lowest_cost_for_it(humans, rungs):
+def test_the_choice_is_the_cheapest_of_the_highest_value(humans, rungs):
     random = np.random.default_rng(humans)
     assignments = list(product(range(rungs), repeat=humans))
     for _ in range(200):

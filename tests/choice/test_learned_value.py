@@ -1,4 +1,4 @@
-"""Learned values of computation: their inputs, an episode with them, and their files."""
+"""Learned values of computation: their inputs, an episode, and their files."""
 
 import json
 from dataclasses import replace
@@ -20,7 +20,10 @@ describe_quickly = jax.jit(describe)
 SHIPPED = load_values("shipped")
 
 
-def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans_nor_whole_turns_of_headings():
+def test_a_description_means_the_same_in_all_scenes():
+    """It depends neither on units, nor on places, nor on the number of humans, nor on
+    whole turns of headings.
+    """
     scenario = SCENARIOS["dense_merge"]
     game = build_game(scenario)
     small = build_game(scenario, unit=1.0)
@@ -38,20 +41,20 @@ def test_a_description_depends_neither_on_units_nor_places_nor_numbers_of_humans
         game, scene=replace(game.scene, obstacles=game.scene.obstacles + far[:2])
     )
     further = describe_quickly(moved, metres + far, everyone)
-    np.testing.assert_allclose(
-        further, described, rtol=1e-2, atol=2e-2
-    )  # float32 loses digits further out
-    turned = describe_quickly(game, metres[[0, *range(8, 0, -1)]], everyone[::-1])
-    np.testing.assert_allclose(turned, described, rtol=1e-4, atol=1e-4)
+    # Single precision loses digits further out.
+    np.testing.assert_allclose(further, described, rtol=1e-2, atol=2e-2)
+    reversed_humans = metres[[0, *range(8, 0, -1)]]
+    renumbered = describe_quickly(game, reversed_humans, everyone[::-1])
+    np.testing.assert_allclose(renumbered, described, rtol=1e-4, atol=1e-4)
     whole_turns = np.zeros_like(metres)
     whole_turns[:, 2] = 2 * np.pi * np.arange(-4, 5)
     turned = describe_quickly(game, metres + whole_turns, everyone)
-    np.testing.assert_allclose(
-        turned, described, rtol=1e-3, atol=1e-2
-    )  # single precision loses digits
+    # Single precision loses digits.
+    np.testing.assert_allclose(turned, described, rtol=1e-3, atol=1e-2)
 
 
-def test_the_model_with_the_highest_gain_plans_and_theory_of_mind_is_used_at_the_start_only():
+def test_the_model_that_is_worth_most_plans():
+    """Theory of mind is worth its time at the start only."""
     models = []
     for info in drive(make("merger", "learned:1")).infos:
         worth = {
@@ -101,9 +104,8 @@ def test_a_file_is_read_as_it_was_written(file):
         ("biases_1", lambda biases: biases[:1], "shapes"),
     ],
 )
-def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_another(
-    file, name, change, problem
-):
+def test_a_damaged_file_is_refused_with_a_remedy(file, name, change, problem):
+    """The error names the damage, and the command that writes another file."""
     with np.load(file) as archive:
         arrays = dict(archive)
     np.savez(file, **arrays | {name: change(arrays[name])})
@@ -116,7 +118,7 @@ def test_a_damaged_file_is_refused_with_the_damage_and_the_command_that_writes_a
         load_values(file)
 
 
-def test_shipped_values_among_several_humans_are_those_that_know_the_ladder():
+def test_shipped_values_know_the_ladder_among_several_humans():
     settings = ENVIRONMENTS["dense-merge-v1"]().settings
     start = settings.start(1, np.random.default_rng())
     for names in (("naive", "tom"), ("naive", "turn", "tom")):

@@ -40,9 +40,8 @@ def decided(rule, played, memory, reward=1.5, unit=PAPER_UNIT):
 
 
 @pytest.mark.parametrize("kind", [Switching, WholeHorizon])
-def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it_gains_per_step(
-    played, kind
-):
+def test_the_top_is_chosen_up_to_its_break_even_price(played, kind):
+    """There, its time costs as much as it gains per step."""
     gain = decided(made(0.0, kind), played, on(0), reward=-9.0).gains[0, 2]
     break_even = gain / (0.37 - 0.09)
     assert gain > 0
@@ -52,7 +51,7 @@ def test_the_top_is_chosen_up_to_the_price_at_which_its_time_costs_as_much_as_it
         assert decision.gains[0, 2] == gain
 
 
-def test_gains_are_over_the_first_rung_whichever_rung_is_in_use(played):
+def test_gains_are_over_the_first_rung_from_any_rung(played):
     """A downward check from turn compares it with naive; what tom gained when it was
     chosen is kept.
     """
@@ -79,9 +78,8 @@ def test_gains_do_not_depend_on_the_unit_of_length(played):
         np.testing.assert_allclose(metres, units, rtol=1e-2, atol=1e-3)
 
 
-def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switches_to_it_for_a_gain(
-    played,
-):
+def test_the_top_checks_the_rung_below_after_each_cooldown(played):
+    """It checks no other rung, and switches to that one for a gain."""
     memory = on(2)
     checked = []
     for _ in range(8):
@@ -95,7 +93,7 @@ def test_the_top_rung_checks_only_the_rung_below_after_each_cooldown_and_switche
     assert decided(made(1e6), played, on(2)).memory.rungs == 1
 
 
-def test_the_expansion_has_the_derivatives_of_both_rewards_over_the_whole_plan(played):
+def test_the_expansion_has_the_derivatives_of_both_rewards(played):
     game, state = played("merger", seed=2)
 
     def rewards(both):

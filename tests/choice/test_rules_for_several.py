@@ -1,5 +1,6 @@
-"""Rules for several humans: `nearest` chooses by distance, learned values by gains,
-`budget` by those that fit.
+"""Rules for several humans.
+
+`nearest` chooses by distance, learned values by gains, `budget` by those that fit.
 """
 
 from dataclasses import dataclass, field, replace
@@ -31,19 +32,17 @@ from ms_highway.runtime.compilation import jit_quickly
 NAIVE, TURN, TOM = range(3)
 COSTS = Costs(0.010, np.array([0.0, 0.002, 0.008]), ("naive", "turn", "tom"))
 
-# in the robot's lane: 15 m ahead and as fast, far ahead, 40 m ahead and slower; in the
-# next one: 20 m behind; far aside
 STATE = np.float32(
     [
-        [0, 0, 0, 20],
-        [15, 0, 0, 20],
-        [90, 0, 0, 20],
-        [40, 0, 0, 2],
-        [-20, 3.3, 0, 22],
-        [12, 13.3, 0, 5],
+        [0, 0, 0, 20],  # the robot
+        [15, 0, 0, 20],  # in its lane, and as fast
+        [90, 0, 0, 20],  # far ahead
+        [40, 0, 0, 2],  # ahead, and slower
+        [-20, 3.3, 0, 22],  # behind in the next lane
+        [12, 13.3, 0, 5],  # far aside
     ]
 )
-NEAREST_FOUR = np.array([1, 0, 1, 1, 1])
+NEAREST_FOUR = np.array([1, 0, 1, 1, 1])  # whether a human is among them
 
 SHIPPED = load_values("shipped")
 decide_quickly = jit_quickly(decide)
@@ -59,20 +58,17 @@ def game(played):
 
 
 def decided(rule, game, error=0.0, before=0):
-    """Return the decision after plans with these rungs, with an error added to the
-    state.
-    """
+    """Return the decision after plans with these rungs; the error adds to the state."""
     memory, outcome, *_ = begin(rule, game, STATE + error)
-    return decide_quickly(
-        rule, game, memory._replace(rungs=np.int32(memory.rungs + before)), outcome
-    )
+    memory = memory._replace(rungs=np.int32(memory.rungs + before))
+    return decide_quickly(rule, game, memory, outcome)
 
 
 def chosen(rule, game):
     return decided(rule, game).memory.rungs.tolist()
 
 
-def test_rules_of_different_classes_with_the_same_fields_are_compiled_separately():
+def test_rules_of_different_classes_are_compiled_separately():
     """JAX takes such dataclasses for equal: `jax.jit` alone takes one in eight of these
     for an earlier one.
     """
@@ -115,25 +111,21 @@ def test_a_budget_is_spent_where_it_gains_most(game):
         (56.1, 0.001, [TURN, NAIVE, TURN, TOM, NAIVE]),
         (1.0, 0.0, [NAIVE] * 5),  # not even these fit
     ):
-        assert (
-            chosen(
-                Rule(LADDER, COSTS, Budget(milliseconds, 0.5, deciding), gains), game
-            )
-            == rungs
-        )
+        budget = Budget(milliseconds, 0.5, deciding)
+        assert chosen(Rule(LADDER, COSTS, budget, gains), game) == rungs
 
 
 def over_naive(gains, price=0.0, doubt=0.0):
-    """Return a rule whose networks expect equal gains of turn and tom everywhere, and
-    are less certain about tom.
+    """Return a rule whose networks expect the same gains everywhere.
+
+    They are less certain about the gain of tom than about that of turn.
     """
     *hidden, (weights, biases) = SHIPPED.network
     expected = np.zeros_like(biases)
     expected[:, :2] = gains
     expected[:, 1] += doubt * np.resize([1, -1], len(biases))
-    return with_networks(
-        SHIPPED.rule(LADDER, COSTS, price), network=(*hidden, (0 * weights, expected))
-    )
+    network = (*hidden, (0 * weights, expected))
+    return with_networks(SHIPPED.rule(LADDER, COSTS, price), network=network)
 
 
 def with_networks(rule, **changes):
@@ -141,15 +133,14 @@ def with_networks(rule, **changes):
     return replace(rule, estimator=replace(rule.estimator, **changes))
 
 
-def test_a_budget_without_expected_gains_is_spent_on_the_nearest_humans(game):
+def test_a_budget_without_gains_goes_to_the_nearest_humans(game):
     nothing = with_networks(over_naive((0.0, 0.0)), margin=0.0, nearest=None)
     rule = replace(nothing, chooser=Budget(27.0, 1.0))
     assert chosen(rule, game) == [TOM, NAIVE, NAIVE, NAIVE, TOM]  # 2 x 8 ms fit
 
 
-def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_and_gains_stay_the_same(
-    game,
-):
+def test_higher_prices_choose_cheaper_models_by_the_same_gains(game):
+    """They do so for the nearest four humans."""
     gains = np.where(NEAREST_FOUR[:, None], [0.0, 0.5, 1.0], NOT_ESTIMATED)
     for price, rung in ((0.0, TOM), (100.0, TURN), (1000.0, NAIVE)):
         before = [TURN, TOM, NAIVE, TOM, NAIVE]
@@ -158,23 +149,25 @@ def test_higher_prices_of_planning_choose_cheaper_models_for_the_nearest_four_an
         assert decision.memory.rungs.tolist() == [*rung * NEAREST_FOUR]
 
 
-def test_one_rung_predicts_the_nearest_humans_for_whom_its_total_value_is_highest(game):
-    """Theory of mind gains 1 for the nearest human, and loses for every other one; turn
-    gains the same for each.
+def test_one_rung_predicts_the_nearest_humans_worth_most_together(game):
+    """Turn gains the same for each human.
+
+    Theory of mind gains 1 for the nearest human, and loses for every other one.
     """
-    place = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
-    place[0, -1] = 0.01  # of the share of humans who are nearer, so that tanh is linear
+    # The hidden layer passes on the share of humans who are nearer, small enough that
+    # tanh is linear.
+    nearer = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
+    nearer[0, -1] = 0.01
+    hidden = nearer, np.zeros((1, 1), np.float32)
+    as_they_are = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
+
+    shipped = SHIPPED.rule(LADDER, COSTS, 0.0)
     for gain, rungs in ((0.4, TURN * NEAREST_FOUR), (0.2, [TOM, *[NAIVE] * 4])):
-        gains = (
-            np.float32([[[0.0, -800.0, 0.0, 0.0]]]),
-            np.float32([[gain, 1.0, 0.0, 0.0]]),
-        )
-        network = (place, np.zeros((1, 1), np.float32)), gains
-        whole = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
-        assert chosen(
-            with_networks(SHIPPED.rule(LADDER, COSTS, 0.0), network=network, **whole),
-            game,
-        ) == [*rungs]
+        weights = np.float32([[[0.0, -800.0, 0.0, 0.0]]])
+        biases = np.float32([[gain, 1.0, 0.0, 0.0]])
+        network = hidden, (weights, biases)
+        rule = with_networks(shipped, network=network, **as_they_are)
+        assert chosen(rule, game) == [*rungs]
 
 
 def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
@@ -189,16 +182,14 @@ def test_doubtful_and_failed_estimates_choose_the_cheapest_rung(game):
         assert decision.memory.rungs.tolist() == [NAIVE] * 5
 
 
-def test_a_shorter_ladder_has_the_gains_of_the_whole_ladder_and_one_rung_leaves_nothing_to_choose(
-    game,
-):
-    rules = (
-        SHIPPED.rule(
-            LADDER[:size], replace(COSTS.select(COSTS.names[:size]), base=0.0), 10.0
-        )
-        for size in (3, 2, 1)
-    )
-    whole, part, nothing = (decided(rule, game) for rule in rules)
+def test_a_shorter_ladder_has_the_gains_of_the_whole(game):
+    """With a single rung, nothing is left to choose."""
+
+    def decided_on(size):
+        costs = replace(COSTS.select(COSTS.names[:size]), base=0.0)
+        return decided(SHIPPED.rule(LADDER[:size], costs, 10.0), game)
+
+    whole, part, nothing = (decided_on(size) for size in (3, 2, 1))
     np.testing.assert_allclose(whole.gains[:, :2], part.gains, rtol=1e-4)
     assert nothing.memory.rungs.tolist() == [NAIVE] * 5
 
@@ -220,7 +211,7 @@ class Returns(Chooser):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Estimates(Estimator):
-    """An estimator that returns anything as gains and as its flag; a tuple as an array."""
+    """An estimator that returns anything, a tuple as an array."""
 
     gains: object = field(metadata={"static": True})
     failed: object = field(default=False, metadata={"static": True})
@@ -296,9 +287,10 @@ WRONG = [
 
 @pytest.mark.parametrize(("chooser", "estimator", "message"), WRONG)
 @pytest.mark.parametrize("traced", [False, True])
-def test_what_no_part_may_return_is_refused_with_its_name_its_value_and_a_remedy(
+def test_what_no_part_may_return_is_refused(
     played, chooser, estimator, message, traced
 ):
+    """The error has the name of the part, the value and a remedy."""
     game, state = played("dense_merge", humans=3)
     rule = Rule(LADDER, COSTS, chooser, estimator)
     memory, outcome, *_ = begin(rule, game, state)

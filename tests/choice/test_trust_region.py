@@ -11,14 +11,14 @@ RADIUS = 1.5
 
 
 def problems(dimensions):
-    """Convex, concave and indefinite quadratics over many scales, with hard cases and
-    vanishing slopes among them.
+    """Yield convex, concave and indefinite quadratics over many scales.
+
+    Among them are hard cases and vanishing slopes.
     """
     random = np.random.default_rng(0)
     for number in range(60):
-        quadratic = random.normal(size=(dimensions, dimensions)) * 10 ** random.uniform(
-            -3, 2
-        )
+        entries = random.normal(size=(dimensions, dimensions))
+        quadratic = entries * 10 ** random.uniform(-3, 2)
         quadratic = quadratic + quadratic.T if number % 3 else -quadratic @ quadratic.T
         linear = random.normal(size=dimensions) * 10 ** random.uniform(-4, 2)
         if number % 7 == 0:
@@ -27,8 +27,9 @@ def problems(dimensions):
 
 
 def best_value(quadratic, linear):
-    """The optimum in the ball: the least value of the dual, which is convex in the
-    multiplier.
+    """Return the optimum in the ball: the least value of the dual.
+
+    The dual is convex in the multiplier.
     """
     values, vectors = np.linalg.eigh(quadratic)
     along = (vectors.T @ linear) ** 2
@@ -63,8 +64,5 @@ def test_the_trust_region_step_is_optimal(dimensions, tolerance):
 def test_a_tolerance_stops_the_trust_region_step_near_the_radius():
     quadratic = np.float32([[-0.1, 0.02], [0.02, -0.2]])
     linear = np.float32([0.4, 0.3])
-    assert (
-        0.95 * RADIUS
-        <= np.linalg.norm(solve(quadratic, linear, RADIUS, 0.05))
-        <= 1.05 * RADIUS
-    )
+    length = np.linalg.norm(solve(quadratic, linear, RADIUS, 0.05))
+    assert 0.95 * RADIUS <= length <= 1.05 * RADIUS

@@ -32,9 +32,9 @@ def test_a_step_records_the_models_and_controls_of_every_human(played):
     assert step.plan.shape == (5, 2)
     assert step.humans.shape == (2, 5, 2)
     np.testing.assert_array_equal(step.control, step.plan[0])
-    assert step.humans[0, 0] == pytest.approx(
-        [0.0, 0.2 * float(state[1, 3])], rel=1e-4
-    )  # only makes up for friction
+    # The control of a naive human only makes up for friction.
+    friction = 0.2 * float(state[1, 3])
+    assert step.humans[0, 0] == pytest.approx([0.0, friction], rel=1e-4)
     assert np.isnan(step.gains).all()
 
 
@@ -57,22 +57,20 @@ def test_whole_turns_of_headings_change_nothing_that_a_driver_does(moments, kind
         seen.append(state)
         return [-0.1 * state[0, 2], 0.0]
 
+    learned = load_values("shipped").rule(LADDER, COSTS, 0.1)
+    make = {
+        "switching with a belief": lambda: Driver(game, SWITCHING, belief=True),
+        "learned": lambda: Driver(game, learned),
+        "function": lambda: FunctionDriver(game, "steers", steer),
+    }
     turns = 2 * np.pi * np.array([[1, -2, 3], [-1, 0, 2], [4, 1, -3]])
     told = []
     for shifts in (0 * turns, turns):
-        drivers = {
-            "switching with a belief": lambda: Driver(game, SWITCHING, belief=True),
-            "learned": lambda: Driver(
-                game, load_values("shipped").rule(LADDER, COSTS, 0.1)
-            ),
-            "function": lambda: FunctionDriver(game, "steers", steer),
-        }
-        driver = drivers[kind]()
+        driver = make[kind]()
         for state, shift in zip(states, shifts, strict=False):
-            before = state + np.stack(
-                [0.0 * shift, 0.0 * shift, shift - 0.01, 0.0 * shift], axis=-1
-            )
-            told.append(driver.step(before))
+            turned = np.array(state, dtype=float)
+            turned[:, 2] += shift - 0.01
+            told.append(driver.step(turned))
     for straight, turned in zip(told[:3], told[3:], strict=True):
         assert (straight.models, straight.status) == (turned.models, turned.status)
         np.testing.assert_allclose(
@@ -87,10 +85,8 @@ def test_whole_turns_of_headings_change_nothing_that_a_driver_does(moments, kind
 
 
 @pytest.mark.slow
-def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later(
-    moments,
-):
-    """Another driver, whose game and rule have other numbers, compiles nothing either."""
+def test_switching_compiles_nothing_after_its_first_control(moments):
+    """Nor does another driver, whose game and rule have other numbers."""
     game, states = moments
     other = replace(game, robot=replace(game.robot, weights=game.robot.weights * 1.5))
     controllers = Driver(game, SWITCHING), Driver(other, at_price(SWITCHING, 3.0))
@@ -99,9 +95,8 @@ def test_switching_compiles_all_rungs_before_its_first_control_and_nothing_later
     assert len({step.model for step in steps}) > 1
 
 
-def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_continues_from_them(
-    moments,
-):
+def test_a_late_step_has_the_models_of_the_followed_plan(moments):
+    """The rule continues from these models."""
     game, states = moments
     controller = Driver(game, SWITCHING)
     steps = []
@@ -112,14 +107,11 @@ def test_a_late_step_reports_the_models_of_the_followed_plan_and_the_rule_contin
     assert [step.models for step in steps] == [("naive",), ("naive",), ("tom",)]
     assert [step.planned for step in steps] == [("naive",), ("tom",), ("tom",)]
     np.testing.assert_array_equal(steps[1].plan, steps[0].plan[1:])
-    assert np.isfinite(
-        steps[2].gains[0, 2]
-    )  # of going up once more, as the robot has not gone up yet
+    # The gain of going up once more, as the robot has not gone up yet.
+    assert np.isfinite(steps[2].gains[0, 2])
 
 
-def test_a_driver_whose_plans_fail_follows_the_rest_of_the_last_one_and_then_brakes(
-    played,
-):
+def test_without_plans_a_driver_ends_the_last_and_brakes(played):
     game, state = played("merger")
     controller = fixed(game)
     first = controller.step(np.asarray(state))
@@ -147,9 +139,8 @@ class Reckless(PredictedHuman):
 
 
 @pytest.mark.filterwarnings("ignore:human model 'reckless' predicts:UserWarning")
-def test_a_plan_under_a_user_defined_model_keeps_to_the_limits_of_controls_and_to_the_grip_of_tyres(
-    played,
-):
+def test_plans_under_a_users_model_keep_to_all_limits(played):
+    """These are the limits of controls and the grip of tyres."""
     limit = np.array([0.05, 6.0])
     grip = 8.0
     game, state = played("merger", control_limit=tuple(limit), grip=grip)
@@ -158,10 +149,8 @@ def test_a_plan_under_a_user_defined_model_keeps_to_the_limits_of_controls_and_t
     for speed in (1.0, 20.0):
         start[0, 3] = speed
         step = controller.step(start)
-        sideways, forward = (
-            speed**2 * step.control[0],
-            step.control[1] - 0.2 * speed,
-        )  # less the paper's friction
+        sideways = speed**2 * step.control[0]
+        forward = step.control[1] - 0.2 * speed  # less the paper's friction
         assert step.status == "planned"
         assert (abs(step.plan) <= limit * 1.0001).all()
         assert np.hypot(sideways, forward) <= grip * 1.0001
@@ -173,13 +162,9 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
     message = "'naive', which is no human model; make one of names with `ladder`"
     with pytest.raises(ValueError, match=message):
         Driver(game, replace(SWITCHING, ladder=("naive", "turn", "tom")))
+    one_cost = Costs(0.0, np.array([0.1]), SWITCHING.costs.names)
     with pytest.raises(ValueError, match="give one for each of naive, turn, tom"):
-        Driver(
-            game,
-            replace(
-                SWITCHING, costs=Costs(0.0, np.array([0.1]), SWITCHING.costs.names)
-            ),
-        )
+        Driver(game, replace(SWITCHING, costs=one_cost))
     with pytest.raises(ValueError, match="the price is nan"):
         Driver(game, at_price(SWITCHING, np.nan))
     names = ["tom@4", "tom@8", "tom"]
@@ -191,7 +176,7 @@ def test_rules_with_impossible_ladders_costs_or_prices_are_refused(played):
         Driver(game, responding, belief=True)
 
 
-def test_what_is_no_rule_is_refused_with_how_to_make_one(played):
+def test_what_is_no_rule_is_refused_with_a_remedy(played):
     game, _ = played("merger")
     remedy = (
         r"which is no Rule; make one with ms_highway\.in_order\(rungs, ladder\) or"
@@ -233,14 +218,12 @@ def test_costs_of_other_models_than_the_ladder_are_refused(played):
         Costs.of([0.1, 0.2], 1)
 
 
-def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replaced(
-    played,
-):
+def test_an_order_with_a_belief_also_has_naive(played):
+    """The driver can be pickled, and its order can be replaced."""
     game, state = played("merger")
     models = ladder(("turn", "tom"))
-    driver = pickle.loads(
-        pickle.dumps(Driver(game, in_order(np.array([[1]]), models), belief=True))
-    )
+    original = Driver(game, in_order(np.array([[1]]), models), belief=True)
+    driver = pickle.loads(pickle.dumps(original))
     assert [model.name for model in driver.rule.ladder] == ["turn", "tom", "naive"]
     assert driver.step(np.asarray(state)).models == ("tom",)
     driver.rule = in_order(np.array([[0]]), models)
@@ -251,17 +234,11 @@ def test_an_order_with_a_belief_also_has_naive_can_be_pickled_and_can_be_replace
     ):
         driver.rule = always(MODELS["naive"])
     config = {"ladder": ["turn", "tom"], "yielding": "never"}
-    assert (
-        "naive"
-        in make_batch(
-            Comparison({"merger": ["tom+belief"]}, config=config), "merger"
-        ).models
-    )
+    comparison = Comparison({"merger": ["tom+belief"]}, config=config)
+    assert "naive" in make_batch(comparison, "merger").models
 
 
-def test_an_escape_is_followed_if_the_next_plan_fails_and_later_plans_start_from_the_plan_it_replaced(
-    played,
-):
+def test_an_escape_is_followed_if_the_next_plan_fails(played):
     """A faster human comes from behind; another car is beside the robot."""
     game, state = played("merger")
     (model,) = ladder(("naive+warm",))

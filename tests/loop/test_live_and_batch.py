@@ -1,5 +1,6 @@
-"""The one step of all robots does the same live and in batches, whatever drives, among
-one human and among three.
+"""The one step of all robots does the same live and in batches.
+
+It does so whatever drives, among one human and among three.
 """
 
 from dataclasses import dataclass, replace
@@ -68,8 +69,9 @@ class Failing(PredictedHuman):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class OneEstimator(Estimator):
-    """Estimators, one of which estimates, so that drives and batches of all take a
-    single compilation each.
+    """Estimators, one of which estimates.
+
+    Drives and batches of all of them take a single compilation each.
     """
 
     parts: tuple
@@ -150,8 +152,9 @@ def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(
 
 
 def parts(humans):
-    """All choosers and all estimators by name; those of the package as an episode has
-    them.
+    """Return all choosers and all estimators, by class and by name.
+
+    Those of the package are as an episode has them.
     """
     start = Start(
         LADDER,
@@ -199,7 +202,7 @@ def scene(request, played):
 
 
 def agree(records, episode, live, models):
-    """Check states, models and statuses of one episode of a batch against a live drive."""
+    """Check an episode of a batch against a live drive: states, models, statuses."""
     states, driven = live
     np.testing.assert_allclose(records.states[episode], states[1:], atol=1e-3, rtol=0)
     assert [
@@ -213,10 +216,10 @@ def agree(records, episode, live, models):
 @pytest.mark.slow
 @pytest.mark.usefixtures("stopped_by_nans")
 @pytest.mark.parametrize("humans", [1, 3])
-def test_every_chooser_decides_by_every_estimator_alike_live_and_in_batches(
-    played, humans
-):
-    """Gains do not depend on the chooser either, where the same rungs are in use; the
+def test_every_chooser_decides_alike_live_and_in_batches(played, humans):
+    """It does so by every estimator.
+
+    Gains do not depend on the chooser either, where the same rungs are in use; the
     first rung gains 0.
     """
     scenario = "merger" if humans == 1 else "dense_merge"
@@ -278,7 +281,7 @@ def test_gains_depend_neither_on_the_price_nor_on_the_costs(scene, name):
 
 
 @pytest.mark.slow
-def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
+def test_a_driver_with_a_budget_measures_its_decisions(scene):
     game, starts = scene
     humans = game.number
     values = load_values("shipped", "several" if humans > 1 else "pair").estimator(
@@ -292,14 +295,14 @@ def test_a_driver_with_a_budget_measures_the_time_of_its_decisions(scene):
     assert np.isfinite(steps[1].gains).all()
     again = Driver(game, rule, budget=10.0)
     first = again.step(starts[0])
-    assert (
-        first.compile_seconds > again.rule.chooser.deciding
-    )  # which compiles nothing, but measures again
+    # The second driver compiles nothing, but measures again.
+    assert first.compile_seconds > again.rule.chooser.deciding
 
 
 def weaves(game, state):
-    """Return a control that depends on the robot's position, and that steers more than
-    tyres hold.
+    """Return a control that steers more than tyres hold.
+
+    It depends on the robot's position.
     """
     return keep_velocity(game.world, state[0]) + jnp.stack(
         [jnp.float32(0.03), 0.1 * (state[1, 0] - state[0, 0])]
@@ -335,18 +338,16 @@ EPISODES = {
     "always": (0, ALWAYS_TOM, always_yields),
     "way out": (1, ALWAYS_TOM, None),
     "weaving": (1, ALWAYS_TOM, weaves),
-    "many models": (
-        0,
-        MIXED,
-        None,
-    ),  # plans start from the rest of the last one only if a model in use says so
+    # Plans start from the rest of the last one only if a model in use says so.
+    "many models": (0, MIXED, None),
     "failing plans": (0, FAILS, None),
     "no plan": (0, [[FAILING] * 3] * 9, None),
 }
 
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
-def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans(scene):
+def test_a_step_is_the_same_live_and_in_batches(scene):
+    """It is, whatever drives robot and humans."""
     game, starts = scene
     places, schedules, functions = zip(*EPISODES.values(), strict=True)
     schedules = np.array(schedules)[:, :, : game.number]
@@ -395,9 +396,10 @@ def test_a_step_is_the_same_live_and_in_batches_whatever_drives_robot_and_humans
 
 
 @pytest.mark.filterwarnings("ignore:human model 'failing' predicts:UserWarning")
-def test_a_late_plan_is_followed_a_step_later_live_and_in_jax(scene):
-    """Late are the first plan, two that follow each other, one that is not finite, and
-    one after braking.
+def test_a_late_plan_is_followed_a_step_later(scene):
+    """So are two plans that follow each other, and one after braking.
+
+    A late plan that is not finite is not followed.
     """
     game, (state, _) = scene
     models = (*ladder(["naive+warm"]), Failing())

@@ -1,6 +1,4 @@
-"""The closed loop in pure JAX does what the environments do, and what the released code
-did.
-"""
+"""The closed loop in pure JAX does what the environments and the released code do."""
 
 from dataclasses import replace
 
@@ -49,7 +47,8 @@ def agree(found, expected):
         assert (found[name] == expected[name]).all()
 
 
-def test_episodes_agree_with_the_environment_step_by_step_and_have_the_columns_of_an_experiment_but_measured_times():
+def test_episodes_agree_with_the_environment_step_by_step():
+    """They have the columns of an experiment, except measured times."""
     records = simulated(COMPARISON)
     agree(
         records.set_index(KEYS),
@@ -95,14 +94,13 @@ class NearsightedEnv(InteractionEnv):
 
     def draw_episode(self, random):
         starts, weights = super().draw_episode(random)
-        return (
-            starts + [[0, 0, 0, 1.0]] * 3,
-            1.5 * weights,
-        )  # which the robot does not know
+        faster = starts + [[0, 0, 0, 1.0]] * 3
+        return faster, 1.5 * weights  # weights that the robot does not know
 
 
 @pytest.mark.slow
-def test_a_batch_plays_the_game_and_the_starts_of_a_subclass(monkeypatch):
+def test_a_batch_plays_the_game_of_a_subclass(monkeypatch):
+    """It begins with the starts of the subclass, too."""
     nearsighted = NearsightedEnv.scenario.name
     for known in (ENVIRONMENTS, SCENARIOS):
         monkeypatch.setitem(known, nearsighted, None)

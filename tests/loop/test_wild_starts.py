@@ -77,9 +77,8 @@ def absurd_states(number, cars, largest):
 
 
 @either_semantics
-def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_state(
-    played, semantics
-):
+def test_braking_is_finite_and_limited_in_any_finite_state(played, semantics):
+    """It ends at a standstill."""
     game, _ = played("merger", semantics=semantics)
     for car in absurd_states(2000, 1, 308)[:, 0]:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -95,9 +94,8 @@ def test_braking_ends_at_a_standstill_and_is_finite_and_limited_in_any_finite_st
 
 
 @either_semantics
-def test_controls_are_finite_in_any_state_that_single_precision_holds_and_others_are_refused(
-    played, semantics
-):
+def test_controls_are_finite_in_any_single_precision_state(played, semantics):
+    """States that single precision does not hold are refused."""
     game, state = played("merger", semantics=semantics)
     controller = fixed(game)
     random = np.random.default_rng(3)
