@@ -97,8 +97,9 @@ def _distance(
 ) -> Float[jax.Array, "bodies points *times"]:
     """Return the `ellipse_distance` D - 1 from points of the car to other bodies."""
     points = body_points(jnp.asarray(scene.car_size), scene.corner)
-    return ellipse_distance(
-        own[:4], points, bodies.motion[:4], bodies.length, bodies.width
+    other = bodies.motion[:4]
+    return jnp.asarray(
+        ellipse_distance(own[:4], points, other, bodies.length, bodies.width)
     )
 
 

@@ -1,8 +1,7 @@
-"""Compute distances and overlaps of bodies, and find the nearest body ahead; in NumPy
-or JAX.
-"""
+"""Compute distances and overlaps of bodies, and find the nearest body ahead.
 
-from typing import Any
+All functions take arrays of NumPy or JAX.
+"""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -12,35 +11,33 @@ from ms_highway.runtime.arrays import (
     Array,
     Numbers,
     Numeric,
+    SameArray,
     Scalar,
 )
 
 CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
-MIDDLES = np.array(
-    [(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32
-)  # of edges and of the body
+"""Sides of the corners of a body, along and across it."""
+
+MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)
+"""Middles of the edges and of the body, in shares of its size."""
 
 Sizes = Float[Array, "*bodies 2"]
 AnySizes = Sizes | tuple[float, float]
 AnyPose = tuple[Numeric, Numeric, Numeric]
-Flags = Bool[Any, "*shape"]
+Flags = Bool[Array, "*shape"]
 Directions = tuple[Numeric, Numeric]
 """Numbers along and across a body."""
 
 Directed = tuple[Numeric, Numeric, Numeric, Numeric]
 """x, y [m], and cosine and sine of the heading."""
 
-MIN_SQUARE = 1e-6
-"""Added to the square of `square_distance`: it keeps the derivatives of the root
-finite.
-"""
-
 
 def separation(
     own: AnyPose, size: AnySizes, other: AnyPose, sizes: AnySizes
 ) -> Numbers:
-    """Return the distance between rectangles along the axis that separates them best
-    [m]; negative if they overlap.
+    """Return the distance between rectangles along the best separating axis [m].
+
+    It is negative if they overlap.
 
     Args:
         own: x, y and heading of the first.
@@ -56,15 +53,15 @@ def separation(
 
     length, width = xp.moveaxis(xp.asarray(size), -1, 0)
     other_length, other_width = xp.moveaxis(xp.asarray(sizes), -1, 0)
-    both_sizes = (length, width), (other_length, other_width)
-    return separation_of_directed(directed(own), directed(other), *both_sizes)
+    return separation_of_directed(
+        directed(own), directed(other), (length, width), (other_length, other_width)
+    )
 
 
 def separation_of_directed(
     own: Directed, other: Directed, size: Directions, other_size: Directions
 ) -> Numbers:
-    """Return the `separation` of rectangles whose headings are given by cosine and
-    sine.
+    """Return the `separation` of rectangles with headings by cosine and sine.
 
     Args:
         own: motion of the first.
@@ -76,14 +73,17 @@ def separation_of_directed(
     other_x, other_y, other_cosine, other_sine = other
     xp = namespace(*own, *other)
 
-    # The angle between both: shares of a size that reach along and across the other
-    # one.
+    # The angle between both: how far a size reaches along and across the other one.
     parallel = xp.abs(own_cosine * other_cosine + own_sine * other_sine)
     slanted = xp.abs(own_cosine * other_sine - own_sine * other_cosine)
 
     def gap(place: Directions, one: Directions, two: Directions) -> Numbers:
-        """Return the larger gap to the box around the second one, in the first one's
-        frame.
+        """Return the larger gap in the first one's frame, to the box around the second.
+
+        Args:
+            place: of the second, along and across the first [m].
+            one: length and width of the first [m].
+            two: length and width of the second [m].
         """
         along = xp.abs(place[0])
         across = xp.abs(place[1])
@@ -124,8 +124,9 @@ def place_in_frame(own: Directed, x: Numeric, y: Numeric) -> Directions:
 
 
 def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
-    """Return x and y of the corners, the middles of the edges and the centre of a body
-    in its own frame [m].
+    """Return x and y of nine points of a body in its own frame [m].
+
+    They are the corners, the middles of the edges and the centre.
 
     Args:
         size: length and width [m].
@@ -136,10 +137,9 @@ def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
 
 
 def point_offsets(
-    own: Directed, points: Float[Any, "points 2"], other: Directed
-) -> tuple[Float[Any, "bodies points *times"], Float[Any, "bodies points *times"]]:
-    """Return where points of a body are, along and across other bodies, from their
-    centres [m].
+    own: Directed, points: Float[Array, "points 2"], other: Directed
+) -> tuple[Float[Array, "bodies points *times"], Float[Array, "bodies points *times"]]:
+    """Return where points of a body are, along and across other bodies [m].
 
     Args:
         own: motion of the body, arrays [*times] or numbers.
@@ -149,6 +149,8 @@ def point_offsets(
     other_x, other_y, other_cosine, other_sine = other
     xp = namespace(*own, *other)
     times = np.ndim(other_x) - 1
+
+    # Offset and direction of the body in the frames of the others [bodies, *times].
     x, y, cosine, sine = (xp.broadcast_to(part, np.shape(other_x)) for part in own)
     dx = x - other_x
     dy = y - other_y
@@ -156,13 +158,14 @@ def point_offsets(
     across = other_cosine * dy - other_sine * dx
     turned = other_cosine * cosine + other_sine * sine
     slant = other_cosine * sine - other_sine * cosine
+
+    # All with an axis of points [bodies, points, *times].
     shape = len(dx), len(points), *dx.shape[1:]
     ahead, across, turned, slant = (
         xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant)
     )
-    along, aside = xp.broadcast_to(
-        points.T.reshape(2, 1, -1, *[1] * times), (2, *shape)
-    )
+    of_points = points.T.reshape(2, 1, -1, *[1] * times)
+    along, aside = xp.broadcast_to(of_points, (2, *shape))
     return (
         ahead + turned * along - slant * aside,
         across + slant * along + turned * aside,
@@ -171,16 +174,15 @@ def point_offsets(
 
 def ellipse_distance(
     own: Directed,
-    points: Float[Any, "points 2"],
+    points: Float[Array, "points 2"],
     other: Directed,
     length: Numbers,
     width: Numbers,
-) -> Float[Any, "bodies points *times"]:
-    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` from points of a body
-    to other bodies.
+) -> Float[Array, "bodies points *times"]:
+    """Return ``D - 1 = (2 dx / length)^2 + (2 dy / width)^2 - 1`` to other bodies.
 
-    The offset (dx, dy) of a point is in the frame of the other body; ``D < 1`` is the
-    ellipse inscribed in it.
+    It is the distance from points of a body. The offset (dx, dy) of a point is in the
+    frame of the other body; ``D < 1`` is the ellipse inscribed in it.
 
     Args:
         own: motion of the body, arrays [*times] or numbers.
@@ -205,12 +207,13 @@ def square_distance(x: Numbers, y: Numbers) -> Numbers:
         x: along the body, in shares of half its length.
         y: across the body, in shares of half its width.
     """
-    return namespace(x, y).sqrt(x**4 + y**4 + MIN_SQUARE)
+    least = 1e-6  # keeps the derivatives of the root finite
+    return namespace(x, y).sqrt(x**4 + y**4 + least)
 
 
 def nearest_ahead(
-    distance: Float[Any, "*batch others"], counts: Bool[Any, "*#batch others"]
-) -> tuple[Int[Any, "*batch"], Bool[Any, "*batch"]]:
+    distance: Float[SameArray, "*batch others"], counts: Bool[Array, "*#batch others"]
+) -> tuple[Int[SameArray, "*batch"], Bool[SameArray, "*batch"]]:
     """Return which of the others is the nearest ahead, and whether any is.
 
     Args:
@@ -220,4 +223,5 @@ def nearest_ahead(
     """
     xp = namespace(distance, counts)
     ahead = counts & (distance > 0)
-    return xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1), xp.any(ahead, axis=-1)
+    nearest = xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1)
+    return nearest, xp.any(ahead, axis=-1)

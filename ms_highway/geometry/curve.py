@@ -8,27 +8,25 @@ left, d is to the left.
 from dataclasses import dataclass, field, replace
 from math import pi
 from types import ModuleType
-from typing import Any, Literal
+from typing import ClassVar, Literal, TypeVar
 
 import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Numbers, Numeric
+from ms_highway.runtime.arrays import Array, Numbers, Numeric
 
 SPACING = 2.0
 """Default distance between the samples of a curve [m]."""
 
 BEHIND = 20.0
-"""Length of a scene's curve behind the car that follows it [m]; the car is near s = 0.
+"""Length of a scene's curve behind the car that follows it [m].
+
+The car is near s = 0.
 """
 
-STEPS = 2  # iterations of a projection, from the nearest sample
-# smallest distance of a position from a bend's centre, as a share of the radius
-TIGHTEST = 0.2
-
-Knots = Float[Any, "*curves samples"]
+Knots = Float[Array, "*curves samples"]
 Rows = Float[np.ndarray, "rows samples"]
 Pose = tuple[Numbers, Numbers, Numbers]
 """x, y and heading in world coordinates, or s, d and heading in those of a curve."""
@@ -48,6 +46,11 @@ class Curve:
         spacing: distance between samples [m] (static).
     """
 
+    iterations: ClassVar[int] = 2
+    """Iterations of a projection from the nearest sample: they leave millimetres."""
+    nearest_centre: ClassVar[float] = 0.2
+    """Least distance of a position from a bend's centre, as a share of the radius."""
+
     x: Knots
     y: Knots
     heading: Knots
@@ -57,7 +60,10 @@ class Curve:
 
     @classmethod
     def through(cls, x: Knots, y: Knots, spacing: float) -> "Curve":
-        """Return the curve from s = 0 through evenly spaced positions; see `resample`."""
+        """Return the curve from s = 0 through evenly spaced positions.
+
+        See `resample` for such positions.
+        """
         order: Literal[1, 2] = 2 if len(x) > 2 else 1  # two points have one slope
         along = np.gradient(x, edge_order=order)
         aside = np.gradient(y, edge_order=order)
@@ -70,8 +76,9 @@ class Curve:
         return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
 
     def interpolate(self, values: Knots, s: Numeric) -> Numbers:
-        """Interpolate values that belong to the samples; beyond the ends, the outermost
-        are kept.
+        """Interpolate values that belong to the samples.
+
+        Beyond the ends, the outermost values continue.
         """
         return interpolate(values, s, self.start, self.spacing)
 
@@ -81,38 +88,43 @@ class Curve:
         xp = namespace(heading)
         cosine = xp.cos(heading)
         sine = xp.sin(heading)
+
+        # The curve goes straight on beyond its ends.
         beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
-        return x + beyond * cosine - d * sine, y + beyond * sine + d * cosine, heading
+        placed_x = x + beyond * cosine - d * sine
+        placed_y = y + beyond * sine + d * cosine
+        return placed_x, placed_y, heading
 
     def project(self, x: Numbers, y: Numbers, heading: Numeric) -> Pose:
-        """Return s, d and relative heading in [-pi, pi) of poses: the inverse of
-        `place`.
+        """Return s, d and relative heading in [-pi, pi) of poses.
 
-        From the nearest sample, `STEPS` iterations along the bend find the point whose
-        normal passes through the position.
+        It is the inverse of `place`. From the nearest sample, some iterations along the
+        bend find the point whose normal passes through the position.
         """
         xp = namespace(self.x, x, y)
+
+        # The nearest sample of each position's own curve.
         several = self.x.ndim > 1
         own_x = self.x[:, None] if several else self.x
         own_y = self.y[:, None] if several else self.y
-        nearest = xp.argmin(
-            (x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2, axis=-1
-        )
+        squares = (x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2
+        nearest = xp.argmin(squares, axis=-1)
         s = nearest * self.spacing + self.start
-        for _ in range(STEPS):
+
+        # Along a bend, s advances faster than a position inside of it moves.
+        for _ in range(self.iterations):
             from_x, from_y, along, bend = self._at(s)
             beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
-            ahead, aside = rotated(x - from_x, y - from_y, along)
+            ahead, d = rotated(x - from_x, y - from_y, along)
             ahead = ahead - beyond
-            step = ahead / xp.maximum(1 - aside * bend, TIGHTEST)
+            step = ahead / xp.maximum(1 - d * bend, self.nearest_centre)
             s = s + step
-        return (
-            s,
-            aside - bend * ahead * step / 2,
-            wrapped(heading - along - bend * step),
-        )
 
-    def locate(self, points: Float[Any, "*points 2"]) -> tuple[Numbers, Numbers]:
+        # d and heading at the last s, by the bend up to there.
+        d_at_s = d - bend * ahead * step / 2
+        return s, d_at_s, wrapped(heading - along - bend * step)
+
+    def locate(self, points: Float[Array, "*points 2"]) -> tuple[Numbers, Numbers]:
         """Return s and d of points."""
         s, d, _ = self.project(points[..., 0], points[..., 1], 0.0)
         return s, d
@@ -122,23 +134,27 @@ class Curve:
         return self._at(s)[3]
 
     def part(self, low: int, high: int) -> "Curve":
-        """Return the part of the curve between two samples, with the same coordinates."""
+        """Return the part of the curve between two samples, in the same coordinates."""
         part = jax.tree.map(lambda values: values[..., low:high], self)
         return replace(part, start=self.start + low * self.spacing)
 
     def _at(self, s: Numeric) -> list[Numbers]:
-        """Interpolate x, y, heading and curvature; several curves are interpolated row
-        by row.
+        """Interpolate x, y, heading and curvature at s.
+
+        Several curves are interpolated row by row.
         """
         low, share = _between(np.shape(self.x)[-1], s, self.start, self.spacing)
         xp = namespace(self.x, s)
         found = []
         for values in map(xp.asarray, (self.x, self.y, self.heading, self.curvature)):
-            each = () if values.ndim == 1 else (np.arange(len(values))[:, None],)
-            left = values[*each, low]
-            found.append(left + share * (values[*each, low + 1] - left))
-        found[3] = xp.where((s > self.start) & (s < self.end), found[3], 0.0)
-        return found
+            rows = () if values.ndim == 1 else (np.arange(len(values))[:, None],)
+            before = values[*rows, low]
+            found.append(before + share * (values[*rows, low + 1] - before))
+
+        # Beyond its ends, the curve is straight.
+        x, y, heading, curvature = found
+        within = (s > self.start) & (s < self.end)
+        return [x, y, heading, xp.where(within, curvature, 0.0)]
 
 
 def namespace(*arrays: object) -> ModuleType:
@@ -149,7 +165,10 @@ def namespace(*arrays: object) -> ModuleType:
     return np
 
 
-def wrapped(angle: Any) -> Any:
+Angle = TypeVar("Angle", float, np.ndarray, jax.Array, Numeric)
+
+
+def wrapped(angle: Angle) -> Angle:
     """Return an angle in [-pi, pi)."""
     return (angle + pi) % (2 * pi) - pi
 
@@ -165,8 +184,9 @@ def rotated(x: Numbers, y: Numbers, heading: Numeric) -> tuple[Numbers, Numbers]
 def interpolate(
     values: Knots, s: Numeric, start: Numeric = -BEHIND, spacing: float = SPACING
 ) -> Numbers:
-    """Interpolate values that belong to s = ``start``, ``start + spacing``, ...; keep
-    the outermost beyond the ends.
+    """Interpolate values that belong to s = ``start``, ``start + spacing``, ...
+
+    Beyond the ends, the outermost values continue.
     """
     low, share = _between(np.shape(values)[-1], s, start, spacing)
     values = namespace(values, s).asarray(values)
@@ -176,9 +196,7 @@ def interpolate(
 def _between(
     samples: int, s: Numeric, start: Numeric, spacing: float
 ) -> tuple[Numbers, Numbers]:
-    """Return the number of the sample before s, and the share of the way from it to the
-    next one.
-    """
+    """Return the number of the sample before s, and the share of the way onwards."""
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)
     low = xp.minimum(position.astype(int), samples - 2)
@@ -186,15 +204,18 @@ def _between(
 
 
 def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
-    """Return the distance along a line from its first point to each point [m], given
-    rows of x and y.
+    """Return the distance along a line from its first point to each point [m].
+
+    Args:
+        positions: rows of x and y.
     """
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
 
 
 def resample(rows: Rows, spacing: float) -> Rows:
-    """Interpolate the rows of a line at equal distances along it; the first two rows
-    are x and y [m].
+    """Interpolate the rows of a line at equal distances along it.
+
+    The first two rows are x and y [m].
     """
     along = arc_lengths(rows[:2])
     even = np.arange(0.0, along[-1], spacing)

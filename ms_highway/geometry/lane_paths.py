@@ -28,16 +28,36 @@ Point = Float[np.ndarray, "2"]
 Row = Float[np.ndarray, "samples"]
 Points = Float[np.ndarray, "samples 2"]
 
-FINE = 0.5
-"""Distance between samples of curves [m]."""
 
-COARSE = 2.0  # m, between samples of lanes
-TRIM = 2.0  # m, omitted from lanes on both sides of a joint
-MARGIN = 20.0  # m, beyond a curve's ends, for smoothing
-SMOOTHING = (1.5, 2.0, 3.0, 4.0, 6.0)  # m, widths of the Gaussian
-MAX_CURVATURE = 0.19  # 1/m
-SHARPER = 1.05  # ratio of the largest curvatures from which a curve counts as sharper
-NEAR = 20.0  # m along a curve within which a car is searched for
+@dataclass(frozen=True)
+class LanePathSettings:
+    """Set how lanes are sampled, and joined to smooth curves."""
+
+    spacing: float = 0.5
+    """Distance between samples of curves [m]."""
+    lane_spacing: float = 2.0
+    """Distance between samples of lanes [m]; a spline joins these."""
+    trim: float = 2.0
+    """Length omitted from lanes on both sides of a joint [m], which the spline bridges.
+    """
+    end_trim: float = 1.0
+    """Length omitted at the end of the last lane [m]."""
+    margin: float = 20.0
+    """Length beyond a curve's ends, for smoothing [m]."""
+    cut: float = 0.9
+    """Share of the margin that is cut off after smoothing, as its ends are not smooth.
+    """
+    widths: tuple[float, ...] = (1.5, 2.0, 3.0, 4.0, 6.0)
+    """Widths of the Gaussian, tried in this order [m]."""
+    max_curvature: float = 0.19
+    """Largest curvature at which no wider Gaussian is tried [1/m]."""
+    sharper: float = 1.05
+    """Ratio of largest curvatures from which a curve counts as sharper."""
+    search: float = 20.0
+    """Distance along a curve within which a car is searched for [m]."""
+
+
+LANE_PATHS = LanePathSettings()
 
 
 @dataclass(frozen=True)
@@ -45,7 +65,7 @@ class LaneCurve:
     """A smooth curve along lanes.
 
     Attributes:
-        curve: sampled every `FINE` metres, from s = 0 on.
+        curve: sampled from s = 0 on at the ``spacing`` of `LanePathSettings`.
         ways: of the samples: the length of all lanes before, plus the longitudinal
             coordinate on the lane [m].
     """
@@ -61,7 +81,8 @@ class LaneCurve:
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
-        return float(np.interp(s, FINE * np.arange(self.ways.size), self.ways))
+        along = LANE_PATHS.spacing * np.arange(self.ways.size)
+        return float(np.interp(s, along, self.ways))
 
 
 def project_cars(
@@ -79,18 +100,19 @@ def project_cars(
         ways: approximate ways of the cars [m], since lanes may cross themselves.
     """
     # The part of each curve near its car, all parts of the same length.
-    number = int(2 * NEAR / FINE) + 1
+    spacing = LANE_PATHS.spacing
+    number = int(2 * LANE_PATHS.search / spacing) + 1
     first = np.zeros(len(curves), dtype=int)
     parts = np.zeros((4, len(curves), number))
     for place, (curve, way) in enumerate(zip(curves, ways, strict=True)):
-        low = int(np.searchsorted(curve.ways, way - NEAR))
+        low = int(np.searchsorted(curve.ways, way - LANE_PATHS.search))
         first[place] = min(low, curve.ways.size - number)
         parts[:, place] = curve.rows[:, first[place] : first[place] + number]
 
     # Project each car on its own part.
     x, y = positions.T[:, :, None]
     own_x, own_y, along, bend = parts
-    near = Curve(own_x, own_y, along, bend, FINE * first[:, None], FINE)
+    near = Curve(own_x, own_y, along, bend, spacing * first[:, None], spacing)
     s, d, turned = near.project(x, y, headings[:, None])
     return np.asarray(s[:, 0]), np.asarray(d[:, 0]), np.asarray(turned[:, 0])
 
@@ -110,16 +132,17 @@ def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
     """
     # The samples of the curves before and after each knot, and the share of the way
     # between them.
-    places = s[:, None] - BEHIND + SPACING * np.arange(knots)
-    before = np.floor(places / FINE).astype(int)
-    share = places / FINE - before
-    sides = np.stack([before, before + 1], axis=1)
+    spacing = LANE_PATHS.spacing
+    places = s[:, None] - BEHIND + SPACING * np.arange(knots)  # [curves, knots]
+    before = np.floor(places / spacing).astype(int)
+    share = places / spacing - before
+    sides = np.stack([before, before + 1], axis=1)  # [curves, 2, knots]
     found = []
     for curve, own in zip(curves, sides, strict=True):
         found.append(curve.rows.take(own, axis=1, mode="clip"))  # [4, 2, knots]
     left, right = np.stack(found, axis=1).swapaxes(0, 2)  # [curves, 4, knots]
 
-    # Interpolate between them.
+    # Interpolate between them, and wrap the headings at s = 0.
     share = share[:, None]
     x, y, heading, curvature = (left * (1 - share) + right * share).swapaxes(0, 1)
     here = heading[:, int(BEHIND / SPACING), None]
@@ -128,10 +151,9 @@ def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
-    """Return places, positions and headings along a lane every `COARSE` metres between
-    two bounds.
-    """
-    s = COARSE * np.arange(np.ceil(low / COARSE), np.floor(high / COARSE) + 1)
+    """Return places, positions and headings along a lane between two bounds."""
+    spacing = LANE_PATHS.lane_spacing
+    s = spacing * np.arange(np.ceil(low / spacing), np.floor(high / spacing) + 1)
     points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
     return s, points, np.array([lane.heading_at(place) for place in s])
 
@@ -144,86 +166,104 @@ def join_lanes(
     widths: Sequence[float],
     within: float = np.inf,
 ) -> LaneCurve:
-    """Return the curve along lanes between two ways; it goes straight on beyond the
-    last lane.
+    """Return the curve along lanes between two ways.
 
-    A Hermite spline through positions and headings on the lanes bridges the joints. A
-    Gaussian filter, corrected so that it keeps circles, makes its curvature continuous.
+    It goes straight on beyond the last lane. A Hermite spline through positions and
+    headings on the lanes bridges the joints. A Gaussian filter, corrected so that it
+    keeps circles, makes its curvature continuous.
 
     Args:
         lanes: that continue each other.
         starts: ways at which the lanes begin, and at which the last one ends [m].
         low: way from which on the curve is needed [m].
         high: way until which the curve is needed [m].
-        widths: of the Gaussian [m], tried in order until no curvature exceeds
-            `MAX_CURVATURE` and the curve is near the lanes.
+        widths: of the Gaussian [m], tried in order until no curvature exceeds the
+            ``max_curvature`` of `LanePathSettings` and the curve is near the lanes.
         within: distance from the lanes that counts as near [m]. No width is tried by
             which the curve becomes sharper than before and than the lanes are: it would
             follow a kink at a joint.
     """
-    low = low - MARGIN
-    high = high + MARGIN
-    end = starts[-1]
-    parts = []
-    for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
-        first = TRIM if number else -np.inf
-        last = lane.length - (TRIM if number + 1 < len(lanes) else 1.0)
-        s, points, headings = samples(
-            lane, max(first, low - start), min(last, high - start)
-        )
-        parts.append((start + s, points, headings))
-    if high > end:
-        beyond = np.arange(max(0.0, low - end), high - end + COARSE, COARSE)
-        heading = lane.heading_at(lane.length)
-        straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
-        parts.append(
-            (
-                end + beyond,
-                lane.position(lane.length, 0.0) + straight,
-                np.full(beyond.shape, heading),
-            )
-        )
-    raw = _bridged(*map(np.concatenate, zip(*parts, strict=True)))
+    margin = LANE_PATHS.margin
+    parts = _sampled(lanes, starts, low - margin, high + margin)
+    ways, points, headings = map(np.concatenate, zip(*parts, strict=True))
+    raw = _bridged(ways, points, headings)
 
     # Bends of the lanes themselves are to be followed, kinks at joints to be smoothed.
     sharpest = 0.0
-    for _, _, headings in parts:
-        turns = np.abs(wrapped(np.diff(headings)))
-        sharpest = max(sharpest, turns.max(initial=0.0) / COARSE)
+    for _, _, headings_of_lane in parts:
+        turns = np.abs(wrapped(np.diff(headings_of_lane)))
+        sharpest = max(sharpest, turns.max(initial=0.0) / LANE_PATHS.lane_spacing)
+
+    # Try wider and wider Gaussians.
     found = None
     for width in widths:
         smooth, moved = _smooth(raw, width)
         bend = np.abs(smooth.curve.curvature).max()
-        if found and within < np.inf and bend > SHARPER * sharpest:
+        if found and within < np.inf and bend > LANE_PATHS.sharper * sharpest:
             break
         found = smooth
         sharpest = max(sharpest, bend)
-        if bend <= MAX_CURVATURE and moved <= within:
+        if bend <= LANE_PATHS.max_curvature and moved <= within:
             break
     assert found
     return found
 
 
+def _sampled(
+    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float
+) -> list[tuple[Row, Points, Row]]:
+    """Return ways, positions and headings along each lane between two ways.
+
+    The last part is the straight line beyond the last lane, if the second way is there.
+    """
+    parts = []
+    for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
+        is_last = number + 1 == len(lanes)
+        first = LANE_PATHS.trim if number else -np.inf
+        last = lane.length - (LANE_PATHS.end_trim if is_last else LANE_PATHS.trim)
+        s, points, headings = samples(
+            lane, max(first, low - start), min(last, high - start)
+        )
+        parts.append((start + s, points, headings))
+
+    end = starts[-1]
+    if high > end:
+        spacing = LANE_PATHS.lane_spacing
+        beyond = np.arange(max(0.0, low - end), high - end + spacing, spacing)
+        heading = lane.heading_at(lane.length)
+        straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
+        points = lane.position(lane.length, 0.0) + straight
+        parts.append((end + beyond, points, np.full(beyond.shape, heading)))
+    return parts
+
+
 def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
-    """Return rows of x, y and way every `FINE` metres along a Hermite spline."""
+    """Return rows of x, y and way, evenly spaced along a Hermite spline."""
+    spacing = LANE_PATHS.spacing
     along = arc_lengths(points.T)
-    spline = CubicHermiteSpline(
-        along, points, np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-    )
-    dense = np.arange(0.0, along[-1], FINE)
-    return resample(
-        np.concatenate([spline(dense).T, np.interp(dense, along, ways)[None]]), FINE
-    )
+    slopes = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+    spline = CubicHermiteSpline(along, points, slopes)
+    dense = np.arange(0.0, along[-1], spacing)
+    dense_ways = np.interp(dense, along, ways)
+    return resample(np.concatenate([spline(dense).T, dense_ways[None]]), spacing)
 
 
 def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:
-    """Return the curve smoothed over a width, without the margins at both ends, and its
-    distance from the lanes [m].
+    """Return a smoothed curve, and its distance from the lanes [m].
+
+    The margins at both ends are cut off.
+
+    Args:
+        raw: rows of x, y and way.
+        width: of the Gaussian [m].
     """
-    once = gaussian_filter1d(raw[:2], width / FINE, mode="nearest")
-    twice = gaussian_filter1d(once, width / FINE, mode="nearest")
-    cut = int(0.9 * MARGIN / FINE)
+    spacing = LANE_PATHS.spacing
+    once = gaussian_filter1d(raw[:2], width / spacing, mode="nearest")
+    twice = gaussian_filter1d(once, width / spacing, mode="nearest")
+
+    # Smoothing moves a bend towards its inside, twice as far the second time.
     smooth = 2 * once - twice
+    cut = int(LANE_PATHS.cut * LANE_PATHS.margin / spacing)
     moved = np.hypot(*(smooth - raw[:2])[:, cut:-cut]).max()
-    x, y, ways = resample(np.concatenate([smooth, raw[2:]])[:, cut:-cut], FINE)
-    return LaneCurve(Curve.through(x, y, FINE), ways), float(moved)
+    x, y, ways = resample(np.concatenate([smooth, raw[2:]])[:, cut:-cut], spacing)
+    return LaneCurve(Curve.through(x, y, spacing), ways), float(moved)

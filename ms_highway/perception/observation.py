@@ -15,8 +15,7 @@ from jaxtyping import Bool
 
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, Rows
 from ms_highway.geometry.lane_paths import (
-    COARSE,
-    FINE,
+    LANE_PATHS,
     LaneCurve,
     Point,
     Row,
@@ -25,13 +24,12 @@ from ms_highway.geometry.lane_paths import (
     samples,
 )
 from ms_highway.geometry.road_map import (
-    BLOCK,
     Chain,
     Destination,
     Goal,
     Lane,
     Spot,
-    kept,
+    cached_on_owner,
     road_map,
 )
 from ms_highway.perception.scene import SHAPE, RoadScene
@@ -71,7 +69,9 @@ class Corridor:
         the curve's beginning [m].
         """
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
-        nearest = np.clip(np.round(s / FINE).astype(int), 0, self.open.shape[1] - 1)
+        nearest = np.clip(
+            np.round(s / LANE_PATHS.spacing).astype(int), 0, self.open.shape[1] - 1
+        )
         return {
             "lanes": rows[: SHAPE.lanes],
             "edges": rows[SHAPE.lanes :],
@@ -79,7 +79,7 @@ class Corridor:
         }
 
 
-@kept
+@cached_on_owner
 def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     """Return the corridor of the route along a chain of lanes near a block of it."""
     curve = chain.curve(block, DRIVEN, WITHIN)
@@ -181,7 +181,7 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     low = max(ends[0] - LANE_MARGIN, 0.0)
     high = min(ends[1] + LANE_MARGIN, lane.length)
     margin = (
-        COARSE if lane.length < 2 * COARSE else 0.0
+        LANE_PATHS.lane_spacing if lane.length < 2 * LANE_PATHS.lane_spacing else 0.0
     )  # so that there are two samples
     whole = -margin, lane.length + margin
     _, centres, along = samples(
@@ -189,7 +189,12 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     )
     along = np.unwrap(along)
     shape = Curve(
-        centres[:, 0], centres[:, 1], along, np.gradient(along, COARSE), 0.0, COARSE
+        centres[:, 0],
+        centres[:, 1],
+        along,
+        np.gradient(along, LANE_PATHS.lane_spacing),
+        0.0,
+        LANE_PATHS.lane_spacing,
     )
     s, d, turned = shape.project(x, y, heading)
     outside = np.maximum(-s, s - shape.end)
@@ -261,7 +266,7 @@ def observe_road(
         ride = _continued(vehicle, rear, goal, memory)
     if ride is None:
         chain, way = _begun(vehicle, rear, goal)
-        around = corridor(chain, goal, way // BLOCK)
+        around = corridor(chain, goal, way // Chain.block_length)
         ride = Ride(chain, way, around, _pose_on(around, rear, vehicle, way))
     chain, way, around, (s, d, heading) = ride
     memory.goal = wanted
@@ -315,7 +320,7 @@ def _continued(
     """
     # Where the robot is on the lanes that it has followed so far.
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
-    block = memory.way // BLOCK
+    block = memory.way // Chain.block_length
     around = corridor(chain, goal, block)
     pose = _pose_on(around, rear, vehicle, memory.way)
     way = around.curve.way(pose[0])
@@ -331,9 +336,9 @@ def _continued(
         onward = goal.ahead(chain.lanes[leg], PLANNED + way - chain.starts[leg])
         way -= chain.starts[first]
         chain = goal.roads.chain(chain.lanes[first:leg] + onward)
-    elif way // BLOCK == block:
+    elif way // Chain.block_length == block:
         return Ride(chain, way, around, pose)
-    around = corridor(chain, goal, way // BLOCK)
+    around = corridor(chain, goal, way // Chain.block_length)
     return Ride(chain, way, around, _pose_on(around, rear, vehicle, way))
 
 

@@ -14,7 +14,7 @@ from highway_env.vehicle.objects import Landmark, RoadObject
 from ms_highway.geometry.bodies import Sizes, nearest_ahead
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve
 from ms_highway.geometry.lane_paths import Points, Row, paths_from, project_cars
-from ms_highway.geometry.road_map import LIMIT, Chain, Lane, RoadMap
+from ms_highway.geometry.road_map import Chain, Lane, RoadMap
 from ms_highway.perception.scene import SHAPE, Flags, Places, Traffic
 from ms_highway.runtime.arrays import State
 
@@ -123,7 +123,7 @@ def traffic_of(
     moving = np.zeros(SHAPE.paths, dtype=bool)
     positions = np.full((SHAPE.paths, 2), far)
     sizes = np.full((SHAPE.paths, 2), (5.0, 2.0), np.float32)
-    limits = np.full(SHAPE.paths, LIMIT, np.float32)
+    limits = np.full(SHAPE.paths, Lane.default_speed_limit, np.float32)
     states = np.zeros((SHAPE.paths, 4), np.float32)
     owners[:used] = [way.owner for way in ways]
     moving[:used] = [way.moves for way in ways]

@@ -119,7 +119,7 @@ def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
     for track, pose in _seen(scenario, problem.time):
         own_inside = separation(own, point, pose, track.size) < 0
         other_inside = separation(own, problem.size, pose, point) < 0
-        same_way = abs(wrapped(pose[2] - own[2])) <= EGO.largest_turn
+        same_way = abs(float(wrapped(pose[2] - own[2]))) <= EGO.largest_turn
         if track.drives and same_way and (own_inside or other_inside):
             distances[track.number] = np.hypot(pose[0] - own[0], pose[1] - own[1])
     return min(distances, key=lambda number: distances[number], default=None)

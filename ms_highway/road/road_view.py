@@ -12,7 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate
-from ms_highway.geometry.road_map import LIMIT
+from ms_highway.geometry.road_map import Lane
 from ms_highway.perception.scene import RoadScene
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle import states_of
@@ -95,7 +95,8 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
     )
     neighbours = np.where(taken[:, None], others[numbers], far_behind(own))
     limit = min(
-        driver.lane.speed_limit or LIMIT, _limit_before_bends(seen.route, own[0])
+        driver.lane.speed_limit or Lane.default_speed_limit,
+        _limit_before_bends(seen.route, own[0]),
     )
     return RoadView(seen, scene, np.stack([own, *neighbours]), limit)
 

@@ -11,7 +11,7 @@ import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point
-from ms_highway.geometry.road_map import MAX_ROADS, Spot, road_map
+from ms_highway.geometry.road_map import Goal, Spot, road_map
 from ms_highway.road.added import AddedRoadDriver
 from ms_highway.road.driver import RoadDriver
 from ms_highway.road.lost_speed import VALUE_GRID
@@ -72,7 +72,7 @@ class TimedGoal:
         roads = road_map(vehicle.road.network)
         own = roads.lanes[vehicle.lane_index]
         passed = 0.0
-        for lane in islice(roads.goal(self.spot).onward(own), MAX_ROADS):
+        for lane in islice(roads.goal(self.spot).lanes_from(own), Goal.max_roads):
             if lane.index[:2] == self.spot.lane[:2]:
                 passed += float(lane.shape.local_coordinates(self.position)[0])
                 break

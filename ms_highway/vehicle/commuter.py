@@ -14,7 +14,7 @@ from ms_highway.data.learned_drivers import RewardTraits
 from ms_highway.data.learned_reward import shipped_drivers
 from ms_highway.game.car_following import CAR_LIMITS, COMMUTER_IDM
 from ms_highway.game.scene import Leader
-from ms_highway.geometry.road_map import LIMIT, road_map
+from ms_highway.geometry.road_map import Lane, road_map
 from ms_highway.planning.learned_driving import HELD_CONTROL, held_acceleration
 from ms_highway.vehicle.right_of_way import (
     GIVING_WAY,
@@ -75,7 +75,7 @@ class FollowingVehicle(IDMVehicle):
         if not isinstance(ego_vehicle, Vehicle):
             return 0.0
         speed = ego_vehicle.speed
-        limit = ego_vehicle.lane.speed_limit or LIMIT
+        limit = ego_vehicle.lane.speed_limit or Lane.default_speed_limit
         target_speed = min(getattr(ego_vehicle, "target_speed", limit), limit)
 
         # A road that makes the vehicle yield sets its target speed to 0.

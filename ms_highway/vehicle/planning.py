@@ -11,7 +11,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Point, Row
-from ms_highway.geometry.road_map import LIMIT
+from ms_highway.geometry.road_map import Lane
 from ms_highway.loop.controller import Controller, ControlStep
 from ms_highway.perception.observation import observe_road
 from ms_highway.runtime.arrays import State
@@ -95,7 +95,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         """
         if self._target_speed is not None:
             return self._target_speed
-        return (self.road and self.lane.speed_limit) or LIMIT
+        return (self.road and self.lane.speed_limit) or Lane.default_speed_limit
 
     @target_speed.setter
     def target_speed(self, speed: float | None) -> None:

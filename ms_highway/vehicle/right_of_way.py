@@ -11,7 +11,7 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 from scipy.spatial import cKDTree
 
-from ms_highway.geometry.road_map import Lane, kept
+from ms_highway.geometry.road_map import Lane, cached_on_owner
 from ms_highway.runtime.arrays import Numbers
 from ms_highway.vehicle.ways import WAYS, Line, Way, way_of
 
@@ -208,7 +208,7 @@ def _meeting(own: Way, other: Way, own_order: int, order: int) -> Conflict | Non
     return one, _approach(other, on_other, other_lane, order, shared)
 
 
-@kept
+@cached_on_owner
 def _close_points(line: Line, other: Line) -> tuple[Numbers, Numbers]:
     """Return where two lines are so close that vehicles on them would touch.
 

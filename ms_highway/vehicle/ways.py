@@ -10,7 +10,7 @@ from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
 
 from ms_highway.geometry.lane_paths import Points, Row
-from ms_highway.geometry.road_map import Lane, Lanes, RoadMap, kept, road_map
+from ms_highway.geometry.road_map import Lane, Lanes, RoadMap, cached_on_owner, road_map
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
     return Way(vehicle, line, float(place))
 
 
-@kept
+@cached_on_owner
 def _lanes_ahead(
     roads: RoadMap, first: LaneIndex, route: tuple[LaneIndex, ...]
 ) -> Lanes:
@@ -161,7 +161,7 @@ def next_lane(lane: Lane, route: tuple[LaneIndex, ...]) -> Lane | None:
     return min((continued(end, None) for end in ends), key=distance, default=None)
 
 
-@kept
+@cached_on_owner
 def _line(roads: RoadMap, lanes: Lanes) -> Line:
     """Return the line along lanes."""
     # Points on the middle of each lane.
