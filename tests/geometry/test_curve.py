@@ -1,5 +1,7 @@
-"""Coordinates of curves of all kinds are inverse to each other, in NumPy and in JAX,
-also beyond the ends.
+"""Coordinates along winding lines are inverse to each other, in NumPy and in JAX, also
+beyond the ends.
+
+`tests/properties/test_curves.py` holds the same of all arcs.
 """
 
 import gymnasium as gym
@@ -11,7 +13,6 @@ import pytest
 from ms_highway.geometry.curve import Curve
 from ms_highway.geometry.road_map import road_map
 from ms_highway.recorded.network import smooth_curves
-from tests.roads import arc
 
 
 def line_of_a_map():
@@ -35,9 +36,6 @@ def through_a_roundabout():
 
 
 CURVES = {
-    "straight": arc(24),
-    "gentle bend": arc(24, -1 / 60),
-    "tight bend": arc(24, 1 / 12),
     "line of a map": line_of_a_map(),
     "roundabout": through_a_roundabout(),
 }
