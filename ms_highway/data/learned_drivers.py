@@ -1,6 +1,6 @@
 """Hold what is learned of drivers besides rewards: traits, lane changes and errors."""
 
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, ClassVar, NamedTuple
 
 import msgspec
 import numpy as np
@@ -9,27 +9,13 @@ from jaxtyping import Float
 
 from ms_highway.runtime.arrays import Array, Structure, pytree
 
-Scalar = float | Float[Array, "*drivers"]
+PerDriver = float | Float[Array, "*drivers"]
 
-LARGEST = 1e30  # of learned numbers: they are computed with as float32
-Finite = Annotated[float, msgspec.Meta(ge=-LARGEST, le=LARGEST)]
-Positive = Annotated[float, msgspec.Meta(gt=0, le=LARGEST)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0, le=LARGEST)]
-
-LEARNED = (
-    "speed",
-    "headway",
-    "closing_speed",
-    "lane_alignment",
-    "direction",
-    "comfort_steering",
-)
-"""Weights that are learned seconds ahead, relative to that of the comfort of
-acceleration.
-"""
-
-CHANGING = (*LEARNED, "desired speed", "typical headway")
-"""Weights and traits that have a factor while a driver changes lanes."""
+# Learned numbers are computed with as float32.
+_LARGEST = 1e30
+Finite = Annotated[float, msgspec.Meta(ge=-_LARGEST, le=_LARGEST)]
+Positive = Annotated[float, msgspec.Meta(gt=0, le=_LARGEST)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0, le=_LARGEST)]
 
 
 class RewardTraits(NamedTuple):
@@ -42,9 +28,9 @@ class RewardTraits(NamedTuple):
             driver; a patient driver closes gaps slowly.
     """
 
-    desired_speed: Scalar
-    headway: Scalar
-    patience: Scalar
+    desired_speed: PerDriver
+    headway: PerDriver
+    patience: PerDriver
 
 
 @pytree
@@ -63,29 +49,31 @@ class TraitPrior(Structure):
     noise: Positive
 
     def traits(
-        self, logarithms: Float[Any, "*drivers 3"], speed_limit: Scalar
+        self, logarithms: Float[Array, "*drivers 3"], speed_limit: PerDriver
     ) -> RewardTraits:
-        """Return the traits of drivers whose logarithms differ from those of the
-        medians by these numbers.
+        """Return the traits of drivers.
+
+        Args:
+            logarithms: of the traits relative to the medians.
+            speed_limit: of the road [m/s].
         """
         xp = logarithms.__array_namespace__()
         shares = xp.asarray(self.median) * xp.exp(logarithms)
-        return RewardTraits(
-            shares[..., 0] * speed_limit, shares[..., 1], shares[..., 2]
-        )
+        desired_speed = shares[..., 0] * speed_limit
+        return RewardTraits(desired_speed, shares[..., 1], shares[..., 2])
 
     def draw(self, random: np.random.Generator, speed_limit: float) -> RewardTraits:
-        """Draw the traits of a driver, within two standard deviations of the medians."""
+        """Draw the traits of a driver, within two deviations of the medians."""
         normal = np.clip(random.normal(size=3), -2.0, 2.0)
-        return RewardTraits(
-            *map(float, self.traits(normal * np.asarray(self.deviations), speed_limit))
-        )
+        drawn = self.traits(normal * np.asarray(self.deviations), speed_limit)
+        return RewardTraits(*map(float, drawn))
 
 
 @pytree
 class Intention(Structure):
-    """Log odds of changing to an adjacent lane within the next seconds over keeping the
-    lane: ``bias + sum w_i a_i``.
+    """Log odds of changing to an adjacent lane within the next seconds.
+
+    Over keeping the lane, they are ``bias + sum w_i a_i``.
 
     Attributes:
         biases: to the left and to the right, with no advantage.
@@ -103,11 +91,10 @@ class Intention(Structure):
 
 @pytree
 class Spread(Structure):
-    """Distribution of drivers around a predicted path: a bivariate Student t, along and
-    across the road.
+    """Distribution of drivers around a predicted path.
 
-    After t seconds, ``log scale = a + b log t + c (log t)^2``, plus a constant where
-    the driver changes lanes.
+    It is a bivariate Student t, along and across the road. After t seconds, ``log scale
+    = a + b log t + c (log t)^2``, plus a constant where the driver changes lanes.
 
     Attributes:
         along: a, b and c of the scale along the road [m].
@@ -123,12 +110,14 @@ class Spread(Structure):
 
     def scales(self, modes: int, steps: int) -> Float[Array, "modes steps 2"]:
         """Return the scales of each mode after each step of 0.1 s [m]."""
+        # a + b log t + c (log t)^2, along and across [steps, 2].
         times = jnp.log(0.1 * jnp.arange(1, steps + 1))
         powers = jnp.stack([jnp.ones_like(times), times, times**2])
-        logs = jnp.stack(
-            [jnp.asarray(self.along) @ powers, jnp.asarray(self.across) @ powers],
-            axis=-1,
-        )
+        along = jnp.asarray(self.along) @ powers
+        across = jnp.asarray(self.across) @ powers
+        logs = jnp.stack([along, across], axis=-1)
+
+        # The driver keeps its lane in the first mode.
         changes = (jnp.arange(modes) > 0)[:, None, None] * jnp.asarray(self.changing)
         return jnp.exp(logs + changes)
 
@@ -150,20 +139,41 @@ class Drivers(Structure):
         intention: to change lanes.
     """
 
+    learned_weights: ClassVar[tuple[str, ...]] = (
+        "speed",
+        "headway",
+        "closing_speed",
+        "lane_alignment",
+        "direction",
+        "comfort_steering",
+    )
+    """Weights that are learned, relative to that of the comfort of acceleration."""
+    in_lane_changes: ClassVar[tuple[str, ...]] = (
+        *learned_weights,
+        "desired speed",
+        "typical headway",
+    )
+    """Weights and traits that have a factor while a driver changes lanes."""
+
     weights: dict[str, Positive]
     prior: TraitPrior
     changing: dict[str, Positive]
     intention: Intention
 
     def __post_init__(self) -> None:
-        for part, names in (
-            ("weights", (*LEARNED, "comfort_acceleration")),
-            ("changing", CHANGING),
-        ):
-            if wrong := set(getattr(self, part)) ^ set(names):
-                raise ValueError(
-                    f"{part} of drivers lack or have unknown {', '.join(sorted(wrong))}"
-                )
+        self._check("weights", (*self.learned_weights, "comfort_acceleration"))
+        self._check("changing", self.in_lane_changes)
+
+    def _check(self, part: str, names: tuple[str, ...]) -> None:
+        """Check that numbers by name have these names.
+
+        Raises:
+            ValueError: naming those that lack or are unknown.
+        """
+        if wrong := set(getattr(self, part)) ^ set(names):
+            raise ValueError(
+                f"{part} of drivers lack or have unknown {', '.join(sorted(wrong))}"
+            )
 
 
 @pytree

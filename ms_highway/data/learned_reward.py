@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from functools import cache
 from importlib import resources
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, ClassVar
 
 import msgspec
 import numpy as np
@@ -15,11 +15,6 @@ from ms_highway.game.reward import RewardModel, linear_reward
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.runtime.arrays import Published, Structure, read
 from ms_highway.runtime.files import read_json, reading, write_json
-
-VERSION = 3
-"""Version of the file format; files of others are refused."""
-
-REMEDY = "learn it again with `ms-highway irl fit`"
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=10**9)]
 
@@ -56,6 +51,11 @@ class LearnedReward(Structure):
             content by group; empty in files of earlier versions.
     """
 
+    version: ClassVar[int] = 3
+    """Version of the file format; files of others are refused."""
+    remedy: ClassVar[str] = "learn it again with `ms-highway irl fit`"
+    """What to do about a file that cannot be read."""
+
     weights: dict[str, float]
     temperature: Positive
     learned: tuple[str, ...]
@@ -66,7 +66,7 @@ class LearnedReward(Structure):
     windows: Count
     log_likelihood: dict[str, Finite | None]
     feature_counts: dict[str, dict[str, Finite]]
-    provenance: dict[str, Any]
+    provenance: dict[str, object]
     tails: Positive | None = None
     drivers: LearnedDrivers | None = None
     learned_from: dict[str, list[str]] = msgspec.field(default_factory=dict)
@@ -82,25 +82,31 @@ class LearnedReward(Structure):
             raise ValueError(
                 f"learned has {', '.join(unknown)}, which is not among the weights"
             )
-        RewardModel(
-            self.learned,
-            {
-                name: self.weights[name]
-                for name in self.weights
-                if name not in self.learned
-            },
-        )
+        RewardModel(self.learned, self._given())
+        self._check_covariance()
+        self._check_means()
+
+    def _given(self) -> dict[str, float]:
+        """Return the weights that were not learned."""
+        return {
+            name: value
+            for name, value in self.weights.items()
+            if name not in self.learned
+        }
+
+    def _check_covariance(self) -> None:
+        """Refuse a covariance of another size, or without variances."""
         covariance = np.array(self.covariance, dtype=float)
         size = len(self.learned) + 1 + (self.tails is not None)
-        if (
-            covariance.shape != (size, size)
-            or not np.isfinite(covariance).all()
-            or (np.diag(covariance) < 0).any()
-        ):
+        fits = covariance.shape == (size, size) and np.isfinite(covariance).all()
+        if not fits or (np.diag(covariance) < 0).any():
             raise ValueError(
                 f"the covariance is no finite array of shape {(size, size)} with"
                 " variances"
             )
+
+    def _check_means(self) -> None:
+        """Refuse counts of features and likelihoods under other names."""
         if set(self.feature_counts) != {"human", "model"}:
             raise ValueError(
                 f"feature_counts are of {', '.join(self.feature_counts) or 'nobody'},"
@@ -118,12 +124,7 @@ class LearnedReward(Structure):
     @property
     def model(self) -> RewardModel:
         """The learned and the given weights."""
-        given = {
-            name: value
-            for name, value in self.weights.items()
-            if name not in self.learned
-        }
-        return RewardModel(self.learned, given, self.tails is not None)
+        return RewardModel(self.learned, self._given(), self.tails is not None)
 
     def interval(self, name: str) -> Float[np.ndarray, "2"]:
         """Return the 90 % interval of a learned weight."""
@@ -139,15 +140,18 @@ def _differing(names: Iterable[str], others: Iterable[str]) -> str:
 
 
 def log_normal_interval(value: float, deviation: float) -> Float[np.ndarray, "2"]:
-    """Return the 90 % interval of a number, given the standard deviation of its
-    logarithm.
+    """Return the 90 % interval of a number.
+
+    Args:
+        value: median.
+        deviation: standard deviation of the number's logarithm.
     """
     return value * np.exp([-1.645 * deviation, 1.645 * deviation])
 
 
 def save(learned: LearnedReward, path: Path) -> None:
     """Write a learned reward as JSON, atomically."""
-    write_json(path, {"version": VERSION} | msgspec.to_builtins(learned))
+    write_json(path, {"version": LearnedReward.version} | msgspec.to_builtins(learned))
 
 
 def load(path: Path) -> LearnedReward:
@@ -156,11 +160,11 @@ def load(path: Path) -> LearnedReward:
     Raises:
         ValueError: if the file cannot be read, is damaged, or is of another version.
     """
-    with reading(path, REMEDY, " as a learned reward"):
+    with reading(path, LearnedReward.remedy, " as a learned reward"):
         content = read_json(path)
         version = content.pop("version", None) if isinstance(content, dict) else None
-        if version != VERSION:
-            raise ValueError(f"it is of version {version}, not {VERSION}")
+        if version != LearnedReward.version:
+            raise ValueError(f"it is of version {version}, not {LearnedReward.version}")
         return read(content, LearnedReward)
 
 
@@ -181,9 +185,7 @@ def shipped(name: str) -> LearnedReward:
 
 
 def named(name: str) -> LearnedReward:
-    """Return the learned reward of the package that has this name, or else that of the
-    file.
-    """
+    """Return the package's learned reward of this name, or else that of the file."""
     return shipped(name) if name in SHIPPED else load(Path(name))
 
 
@@ -196,17 +198,18 @@ def shipped_drivers() -> LearnedDrivers:
 
 
 def commuter_weights() -> dict[str, float]:
-    """Return weights, by name, of a driver in everyday traffic: learned on US-101, in
-    units of log-probability.
+    """Return the weights of a driver in everyday traffic, by name.
+
+    They are learned on US-101, in units of log-probability.
 
     Weights for driving in a lane are learned seconds ahead, see
     `ms_highway.irl.seconds_ahead`. Weights of leaving the lane or the road and of
     collisions are the paper's: the recordings say little about them.
     """
     learned = shipped("us101")
-    kept = {
+    papers = {
         name: float(COMMON_WEIGHTS[name])
         for name in ("lane_alignment", "collision_risk", "off_road")
     }
-    weights = {**learned.weights, **shipped_drivers().weights, **kept}
+    weights = {**learned.weights, **shipped_drivers().weights, **papers}
     return {name: weight / learned.temperature for name, weight in weights.items()}

@@ -23,8 +23,6 @@ from msgspec import structs
 from scipy import optimize, special
 
 from ms_highway.data.learned_drivers import (
-    CHANGING,
-    LEARNED,
     Drivers,
     Intention,
     LearnedDrivers,
@@ -59,7 +57,7 @@ class DriverPrior:
 
     weights: Mapping[str, float] = field(
         default_factory=lambda: dict(
-            zip(LEARNED, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)
+            zip(Drivers.learned_weights, (7e-4, 4e-3, 0.1, 0.1, 0.2, 0.05), strict=True)
         )
     )
     """Medians of the weights, relative to that of the comfort of acceleration, 0.1."""
@@ -85,7 +83,7 @@ class DriverPrior:
     @property
     def medians(self) -> dict[str, float]:
         """Medians of all numbers, by name; those of factors are 1."""
-        factors = {name + self.while_changing: 1.0 for name in CHANGING}
+        factors = {name + self.while_changing: 1.0 for name in Drivers.in_lane_changes}
         return {**self.weights, **self.traits, **factors}
 
     @property
@@ -97,7 +95,8 @@ class DriverPrior:
     def deviations(self) -> Parameters:
         """Standard deviations of the logarithms."""
         of_weights = [
-            name.removesuffix(self.while_changing) in LEARNED for name in self.medians
+            name.removesuffix(self.while_changing) in Drivers.learned_weights
+            for name in self.medians
         ]
         return np.where(of_weights, self.weight_deviation, self.trait_deviation)
 
@@ -131,8 +130,10 @@ FIT = DriverFit()
 def learn_drivers(
     snapshots: Snapshots, intervals: bool = True, progress: Progress = silent
 ) -> LearnedDrivers:
-    """Learn drivers with the weights `LEARNED` and the given weight 0.1 of the comfort
-    of acceleration; fit all peers.
+    """Learn drivers seconds ahead, and fit all peers.
+
+    The weight of the comfort of acceleration is given, 0.1; `Drivers.learned_weights`
+    are learned relative to it.
 
     Args:
         snapshots: to learn from; their number sets the shapes for which functions are
@@ -250,11 +251,13 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
     one = xp.ones_like(headway)  # median share of the speed limit, and patience
     prior = TraitPrior(xp.stack([one, headway, one]), xp.stack(deviations), noise)
     named = {
-        **dict(zip(LEARNED, weights, strict=True)),
+        **dict(zip(Drivers.learned_weights, weights, strict=True)),
         "comfort_acceleration": FIT.comfort_weight,
     }
     never = Intention(np.full(2, -20.0), np.zeros(6))  # type: ignore[arg-type]
-    return Drivers(named, prior, dict(zip(CHANGING, factors, strict=True)), never)
+    return Drivers(
+        named, prior, dict(zip(Drivers.in_lane_changes, factors, strict=True)), never
+    )
 
 
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
