@@ -20,6 +20,7 @@ from ms_highway.envs.graphics import InteractionViewer
 from ms_highway.envs.human_drivers import draw_drivers, human_controller, vehicle_class
 from ms_highway.envs.info import InteractionInfo, gains_info, human_status, plan_info
 from ms_highway.envs.keyboard import Keyboard
+from ms_highway.envs.provenance import warn_of_other_values
 from ms_highway.envs.registry import controller_config
 from ms_highway.envs.settings import Settings
 from ms_highway.envs.spaces import Autopilot, HumanModelAction, cone_distances
@@ -128,7 +129,7 @@ class InteractionEnv(GameEnv):
                 controller.check(start)
             except ValueError as error:
                 raise ValueError(f"{place}: {error}") from error
-            settings.warn_of_other_values(cls.scenario, start)
+            warn_of_other_values(settings, cls.scenario, start)
         return config | {"ladder": [model.name for model in settings.models]}
 
     def _read(self) -> None:

@@ -1,8 +1,6 @@
 """Read the configuration of an `ms_highway.envs.base.InteractionEnv`."""
 
 from collections.abc import Iterable, Mapping
-from json import dumps as to_json
-from shlex import quote
 from typing import Annotated, Any, Literal, TypeAlias, get_args
 from warnings import warn
 
@@ -47,7 +45,7 @@ NamedReward: TypeAlias = Literal["learned", "published", "us101"]
 
 NAMED_REWARDS: tuple[str, ...] = get_args(NamedReward)
 
-YIELDING = {
+YIELDING_DRIVERS = {
     "usual": (),
     "never": ("never",),
     "always": ("always",),
@@ -55,8 +53,11 @@ YIELDING = {
 }
 """The human drivers for each way to yield."""
 
-WHOLE_NUMBER = "it must be a whole number from 1 to"
-MAX_HORIZON = 100  # steps
+
+def _whole_number(most: int) -> Meta:
+    """Return the limits of a whole number."""
+    remedy = f"it must be a whole number from 1 to {most}"
+    return Meta(ge=1, le=most, description=remedy)
 
 
 class Settings(Struct, frozen=True):
@@ -204,9 +205,7 @@ class Settings(Struct, frozen=True):
     between bodies.
     """
 
-    horizon: Annotated[
-        int, Meta(ge=1, le=MAX_HORIZON, description=f"{WHOLE_NUMBER} {MAX_HORIZON}")
-    ]
+    horizon: Annotated[int, _whole_number(100)]
     """Number of planned controls, of robot and humans."""
 
     time_step: Annotated[
@@ -216,7 +215,9 @@ class Settings(Struct, frozen=True):
 
     iterations: Annotated[
         Annotated[int, Meta(ge=1, le=MAX_ITERATIONS)] | None,
-        Meta(description=f"{WHOLE_NUMBER} {MAX_ITERATIONS}, or None"),
+        Meta(
+            description=f"it must be a whole number from 1 to {MAX_ITERATIONS}, or None"
+        ),
     ]
     """Number of gradient steps of a plan; None for what suits the horizon."""
 
@@ -234,10 +235,19 @@ class Settings(Struct, frozen=True):
     """Whether a collision ends the episode."""
 
     def __post_init__(self) -> None:
-        if not isinstance(
-            self.controller, ControllerSettings
-        ):  # copies already have one
+        # Copies already have what the configuration is read into.
+        if not isinstance(self.controller, ControllerSettings):
             force_setattr(self, "controller", controller_settings(self.controller))
+        self._check_planning()
+        self._check_humans()
+        self._check_costs()
+
+    def _check_planning(self) -> None:
+        """Refuse plans that take seconds, and episodes without a step.
+
+        Raises:
+            ValueError: for such plans or episodes.
+        """
         horizon = self.horizon
         time_step = self.time_step
         chosen = gradient_steps(self.planning)[0]
@@ -253,30 +263,37 @@ class Settings(Struct, frozen=True):
         if self.duration < time_step:
             why = f"an episode has at least one time step of {time_step:g} s"
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
-        if self.human_driver is not None:
-            known = [
-                name for name in (*HUMAN_DRIVERS, Keyboard.name) if name not in YIELDING
-            ]
-            if self.human_driver not in known:
-                remedy = (
-                    "add it with ms_highway.add_driver, or name one of"
-                    f" {', '.join(known)}"
-                )
-                raise ValueError(
-                    f"config['human_driver'] is {self.human_driver!r}; {remedy}"
-                )
-            if self.yielding != "usual":
-                why = (
-                    f"humans who are driven by {self.human_driver!r} cannot be told how"
-                    " to yield"
-                )
-                raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
+
+    def _check_humans(self) -> None:
+        """Refuse unknown drivers of humans, unknown weights, and yielding that somebody
+        else decides.
+
+        Raises:
+            ValueError: for such drivers, weights or yielding.
+        """
+        name = self.human_driver
+        added = [each for each in HUMAN_DRIVERS if each not in YIELDING_DRIVERS]
+        known = [*added, Keyboard.name]
+        if name is not None and name not in known:
+            remedy = (
+                f"add it with ms_highway.add_driver, or name one of {', '.join(known)}"
+            )
+            raise ValueError(f"config['human_driver'] is {name!r}; {remedy}")
+        if name is not None and self.yielding != "usual":
+            why = f"humans who are driven by {name!r} cannot be told how to yield"
+            raise ValueError(f"config['yielding'] is {self.yielding!r}; {why}")
         if isinstance(self.human_reward, dict):
             refuse_unknown("config['human_reward']", self.human_reward, weight_names())
+
+    def _check_costs(self) -> None:
+        """Refuse costs of unknown models, and models of the ladder without costs.
+
+        Raises:
+            ValueError: naming the models.
+        """
         if isinstance(self.costs, dict):
-            refuse_unknown(
-                "config['costs']", self.costs, {*MODELS, *filter(is_model, self.costs)}
-            )
+            named = {name for name in self.costs if is_model(name)}
+            refuse_unknown("config['costs']", self.costs, {*MODELS, *named})
         unknown = {model.name for model in self.models} - {*self.counted.names}
         if unknown and self.costs != "measured":
             why = (
@@ -313,78 +330,12 @@ class Settings(Struct, frozen=True):
             )
             warn(f"config['step_size'] is {self.step_size:g}: {why}", stacklevel=2)
 
-    def warn_of_other_values(self, scenario: Scenario, start: Start) -> None:
-        """Warn of learned values that come from another scene or other humans than they
-        serve here.
-
-        A scene is a scenario with its semantics, solver and horizon. Humans are others
-        if they drive for another reward, or if ``human_driver`` drives them. How humans
-        yield to the robot (``yielding``) is left out, as values are measured among
-        humans who never do.
-        """
-        values = self.controller.learned(start)
-        if values is None:
-            return
-        known = values.provenance
-        scenarios = known.get("scenarios", [scenario.name])
-        learned = {
-            name: known[name] for name in ("semantics", "solver") if name in known
-        }
-        learned["horizon"] = known.get("planning_horizon", scenario.planning.horizon)
-        other = {
-            name: value
-            for name, value in learned.items()
-            if getattr(self, name) not in np.ravel(value)
-        }
-        present: dict[str, Any] = {name: getattr(self, name) for name in other}
-        reward = (
-            known.get("human_reward")
-            or HUMAN_REWARDS[known.get("semantics", self.semantics)]
-        )
-        if reward != self.reward:
-            other["human_reward"] = reward
-            present["human_reward"] = self.reward
-        driven = self.human_driver is not None
-        if scenario.name in scenarios and not other and not driven:
-            return
-        there = ", ".join(
-            [*scenarios, *(f"{name} {value}" for name, value in other.items())]
-        )
-        here = ", ".join(
-            [scenario.name, *(f"{name} {value}" for name, value in present.items())]
-        )
-        if driven:
-            here += f", where {self.human_driver!r} drives the humans"
-            remedy = (
-                "choose another controller, such as tom or switching:0.1, as values are"
-                " not learned among such humans"
-            )
-        else:
-            texts = {
-                name: value if isinstance(value, str) else to_json(value)
-                for name, value in present.items()
-            }
-            changes = "".join(
-                f" --set {quote(f'{name}={value}')}" for name, value in texts.items()
-            )
-            command = (
-                f"`ms-highway values learn {scenario.name}{changes} --out values.npz`"
-            )
-            remedy = f"learn them with {command}, and say learned:LAMBDA:values.npz"
-        warn(
-            f"the values of computation were learned in {there}, not in {here};"
-            f" {remedy}",
-            stacklevel=2,
-        )
-
     @property
     def reward(self) -> str | dict[str, float]:
         """The humans' reward: one of `NAMED_REWARDS`, or weights by name."""
-        return (
-            HUMAN_REWARDS[self.semantics]
-            if self.human_reward is None
-            else self.human_reward
-        )
+        if self.human_reward is None:
+            return HUMAN_REWARDS[self.semantics]
+        return self.human_reward
 
     @property
     def planning(self) -> PlanningSettings:
@@ -398,11 +349,9 @@ class Settings(Struct, frozen=True):
         """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all
         humans plan for their reward.
         """
-        return (
-            YIELDING[self.yielding]
-            if self.human_driver is None
-            else (self.human_driver,)
-        )
+        if self.human_driver is None:
+            return YIELDING_DRIVERS[self.yielding]
+        return (self.human_driver,)
 
     @property
     def models(self) -> tuple[HumanModel, ...]:
@@ -423,21 +372,24 @@ class Settings(Struct, frozen=True):
 
         Models are left out where T is unknown: all of them if it is to be measured.
         """
-        kind = shipped_kind(self.semantics, self.humans)
-        named = {"published": PUBLISHED_COSTS, "shipped": SHIPPED_COSTS[kind]}
-        given = (
-            self.costs if isinstance(self.costs, dict) else named.get(self.costs, {})
-        )
+        base: Mapping[str, float] = {}
+        if isinstance(self.costs, dict):
+            base = self.costs
+        elif self.costs == "published":
+            base = PUBLISHED_COSTS
+        elif self.costs == "shipped":
+            base = SHIPPED_COSTS[shipped_kind(self.semantics, self.humans)]
 
+        # A model with fewer steps takes its share of the seconds.
         known: dict[str, float] = {}
         for model in models:
             steps = JOINT_STEPS if model.responds else STEPS
             if self.solver != "convex_newton":
                 steps = gradient_steps(self.planning)[0]
-            seconds = model.seconds(given, steps)
+            seconds = model.seconds(base, steps)
             if seconds is not None:
                 known[model.name] = seconds
-        return Costs.of({**known, **given}, self.humans)
+        return Costs.of({**known, **base}, self.humans)
 
     def start(
         self, steps: int, random: np.random.Generator, costs: Costs | None = None
@@ -459,9 +411,8 @@ class Settings(Struct, frozen=True):
         """Whether rules choose by measured planning times, so that a seed may give
         different episodes.
         """
-        return self.costs == "measured" or (
-            self.costs == "shipped" and self.controller.budget is not None
-        )
+        keeps_budget = self.controller.budget is not None
+        return self.costs == "measured" or (self.costs == "shipped" and keeps_budget)
 
     def game(self, scenario: Scenario) -> Game:
         """Build the game of a scenario, in which every human has the reward that the

@@ -40,7 +40,7 @@ from ms_highway.envs.controllers import (
 )
 from ms_highway.envs.keyboard import Keyboard
 from ms_highway.envs.registry import add_rule, controller_config, controller_settings
-from ms_highway.envs.settings import YIELDING
+from ms_highway.envs.settings import YIELDING_DRIVERS
 from ms_highway.envs.simulation import (
     FunctionalEnv,
     draw_start,
@@ -776,7 +776,7 @@ def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(wh
         *AGENTS,
         BEST,
         Keyboard.name,
-        *YIELDING,
+        *YIELDING_DRIVERS,
     } <= {*taken}
     for name in taken:
         with pytest.raises(
