@@ -21,7 +21,7 @@ from ms_highway.runtime.names import PACKAGE_NAMES
 
 
 def added_drivers() -> list[str]:
-    """Return the names of the drivers that a user has added and that can drive a robot."""
+    """Return the names of the drivers that a user has added and that drive robots."""
     return [
         name for name in function_names() if name not in PACKAGE_NAMES["a human driver"]
     ]

@@ -39,7 +39,7 @@ class ResponseSettings:
     first_accelerations: tuple[float, ...] = (0.0, -2.0, -4.0, -6.0)
     """Steady accelerations from which the optimisation starts [m/s^2]."""
     path_time: float = 0.8
-    """Time constant of the distance to the path, as under highway-env's steering [s]."""
+    """Time constant of the distance to the path, as highway-env's cars steer [s]."""
     nearest_cars: int = 6
     """Number of cars that a driver heeds besides the robot."""
     along_per_aside: float = 5.0

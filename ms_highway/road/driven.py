@@ -356,8 +356,14 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
 def _nearest_in(
     action_type: ContinuousAction, executed: Mapping[str, float]
 ) -> np.ndarray:
-    """Return the continuous action of a space that is nearest to what a vehicle executed [m/s^2,
-    rad]; acceleration first.
+    """Return the continuous action that is nearest to what a vehicle executed.
+
+    Args:
+        action_type: of the space.
+        executed: acceleration [m/s^2] and steering [rad].
+
+    Returns:
+        An array; acceleration comes first.
     """
     values = []
     if action_type.longitudinal:

@@ -45,8 +45,8 @@ MEASURED_COSTS = Costs(0.0040, np.array([0.0, 0.0, 0.0013]), TRAFFIC_MODELS)
 model, measured on one core [s].
 """
 
-# Proposals, answers to them and decisions are each compiled once for all scenes, models,
-# limits and weights.
+# Proposals, responses to them and decisions are each compiled once, for all scenes,
+# models, limits and weights.
 proposed_for = jit_quickly(propose_road)
 responded_to = jit_quickly(respond_road)
 decided = jit_quickly(decide_on)
@@ -282,7 +282,7 @@ class RoadDriver:
     def _plan(
         self, scene: RoadScene, choice: RoadChoice, last: RoadRemainder
     ) -> NewRoadPlan:
-        """Return the best proposal, once others have responded where a model says so."""
+        """Return the best proposal, after responses where a model says so."""
         look = choice.observation
         models = self._models(look.scene, choice.rungs)
         plan = look.proposed.plan
@@ -330,7 +330,7 @@ class RoadDriver:
         return replace(scene, accelerations=accelerations)
 
     def _models(self, scene: RoadScene, rungs: Rungs) -> Rungs:
-        """Return the number of the model of each car; naive for those that cannot move."""
+        """Return the number of the model of each car; obstacles are naive."""
         numbers = np.where(scene.moving, self._numbers[rungs], ModelNumber.naive)
         return numbers.astype(np.int32)
 

@@ -31,9 +31,9 @@ class TrafficPrediction:
     path_time: float = 1.0
     """Time constant with which a car returns to the middle of its path [s]."""
     slow_share: float = 0.6
-    """Share of the speed limit below which a car is expected to speed up to the limit."""
+    """Share of the speed limit below which a car is expected to speed up to it."""
     rolling_speed: float = 0.3
-    """Speed backwards above which a car rolls on backwards; others stop at most [m/s]."""
+    """Speed backwards above which a car may roll on; others stop at most [m/s]."""
     hard_braking: float = 3.0
     """Deceleration above which a car ahead is expected to brake on [m/s^2]."""
     braking_time: float = 3.0

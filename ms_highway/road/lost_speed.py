@@ -55,7 +55,7 @@ class ValueGrid:
     speed].
     """
     no_lane: float = -1e3
-    """Value of the lanes beyond the outermost, which nobody chooses [steps of speed]."""
+    """Value of lanes beyond the outermost, which nobody chooses [steps of speed]."""
 
     @property
     def lanes(self) -> int:
@@ -282,9 +282,9 @@ def _blocked_cost(
     lanes_exist = _lanes_exist(situation, centres, places)
     car = _next_car(situation, simulated, centres, places)
 
-    # The gap that a robot of speed v needs behind a car of speed u, with u < 0 for an
-    # oncoming car:
-    #     ahead + reaction_time v + oncoming_time max(-u, 0) + max(v - max(u, 0), 0)^2 / (2 b)
+    # The gap that a robot of speed v needs behind a car of speed u:
+    #     ahead + reaction_time v + max(v - u, 0)^2 / (2 braking);
+    # an oncoming car, u < 0, counts as standing, and adds oncoming_time |u|.
     speeds = speed_step * jnp.arange(VALUE_GRID.speeds)
     closing_speed = jnp.maximum(speeds - jnp.maximum(car.speed, 0.0), 0.0)
     oncoming = LATER_GAPS.oncoming_time * jnp.maximum(-car.speed, 0.0)

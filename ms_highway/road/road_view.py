@@ -23,9 +23,9 @@ class ViewSettings:
     """Set how a driver sees ends of lanes and bends."""
 
     merge_begin: float = 80.0
-    """Distance before the end of a lane from which on it merges with its neighbour [m]."""
+    """Distance before its end from which on a lane merges with its neighbour [m]."""
     merge_end: float = 20.0
-    """Distance before the end of a lane at which it has merged [m]."""
+    """Distance before its end at which a lane has merged [m]."""
     bends_ahead: float = 60.0
     """Distance within which a driver sees bends [m]."""
     least_curvature: float = 1e-6

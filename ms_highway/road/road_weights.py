@@ -36,9 +36,9 @@ class RoadWeights:
     jerk: Scalar = 0.002
     """Weight of squared jerk [s^6/m^2]."""
     imposed: Scalar = 0.3
-    """Weight of the squared braking that the robot imposes on cars behind it [s^4/m^2]."""
+    """Weight of the squared braking that the robot imposes on others [s^4/m^2]."""
     near: Scalar = 8.0
-    """Weight of the squared share of `comfortable` by which a car is nearer than that."""
+    """Weight of the squared share of `comfortable` that the distance to a car lacks."""
     comfortable: Scalar = 1.0
     """Distance between bodies below which nearness costs [m]."""
     collision: Scalar = 100.0

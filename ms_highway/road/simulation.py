@@ -97,7 +97,8 @@ def simulate(
     # Others have their steps in the last axis, [plans, traffic, steps].
     traffic = TrafficMotion(*(jnp.swapaxes(field, 1, 2) for field in records.traffic))
 
-    # Trajectories in world coordinates, [plans, 4, steps] and [plans, traffic, 4, steps].
+    # Trajectories in world coordinates: [plans, 4, steps] and
+    # [plans, traffic, 4, steps].
     own_pose = bodies(scene, records.state)
     centre = jnp.stack([*own_pose, records.state[..., 3]], axis=-2)
     x, y, path_heading = jax.vmap(Curve.place, (0, -2, 0), -2)(

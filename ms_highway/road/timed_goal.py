@@ -35,7 +35,7 @@ class TimedDriving:
     shortest_time: float = 0.1
     """Shortest time to be there [s]."""
     goal_weight: float = 20.0
-    """Weight of lane changes to the spot, more than that of slow traffic in its lane."""
+    """Weight of lane changes to the spot, more than that of slow traffic there."""
     follower_headway: float = 1.0
     """Time gap, besides `follower_gap`, below which a follower is close [s]."""
     follower_gap: float = 2.0

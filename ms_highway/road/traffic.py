@@ -46,7 +46,7 @@ class PathCosines:
     it comes towards the robot.
     """
     same_way: float = 0.8
-    """From here on, the car goes the same way, and its time of arrival is known well."""
+    """From here on, the car goes the same way as the robot."""
     follows: float = 0.7
     """From here on, a car follows the robot ahead of it."""
     not_crossing: float = 0.5
@@ -58,7 +58,7 @@ COSINES = PathCosines()
 
 @dataclass(frozen=True)
 class CrossingSettings:
-    """Set where paths cross the robot's route, and how the robot keeps clear of them."""
+    """Set where paths cross the robot's route, and where the robot waits for them."""
 
     corridor: float = 3.0
     """Half the width of the robot's corridor, which crossing cars have to leave [m]."""

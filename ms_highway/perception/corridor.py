@@ -1,0 +1,231 @@
+"""Measure the lanes beside a route and the edges of the road."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import inf
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+from jaxtyping import Bool
+
+from ms_highway.geometry.curve import Curve, Knots, Rows
+from ms_highway.geometry.lane_paths import LANE_PATHS, LaneCurve, Row, samples
+from ms_highway.geometry.road_map import Chain, Goal, Lane, cached_on_owner
+from ms_highway.perception.scene import SHAPE
+
+
+@dataclass(frozen=True)
+class RouteSettings:
+    """Set how a route is smoothed, and how lanes beside it are measured."""
+
+    smoothing: tuple[float, ...] = (6.0, 4.0, 3.0, 2.0)
+    """Widths to try for smoothing a route, which cuts corners, in this order [m]."""
+    corner_cut: float = 0.1
+    """Distance from the lanes beyond which a route is smoothed less, as in sharp bends
+    [m].
+    """
+    lane_margin: float = 6.0
+    """Distance by which lanes are sampled beyond the route beside them [m]."""
+    lane_extension: float = 3.0
+    """Distance up to which a lane is extended straight on [m]."""
+    least_cosine: float = 0.7
+    """Lower bound of the cosine of the angle between a lane and the route."""
+    nearby: float = 2.0
+    """Distance within which the robot can change to a lane that diverges [widths of a
+    lane].
+    """
+
+
+ROUTE = RouteSettings()
+
+
+class LaneFields(TypedDict):
+    """The fields of a ``RoadScene`` that describe lanes."""
+
+    lanes: Knots
+    edges: Knots
+    open: Knots
+
+
+@dataclass(frozen=True)
+class Corridor:
+    """A route's curve and, at its samples, the road around it.
+
+    Attributes:
+        curve: of the route.
+        rows: lateral positions of the lanes left of it, on it, right of it, and of the
+            road's edges [m].
+        open: where the robot may drive on the lanes.
+    """
+
+    curve: LaneCurve
+    rows: Rows
+    open: Bool[np.ndarray, "lanes samples"]
+
+    def at(self, s: Row) -> LaneFields:
+        """Return the fields of a ``RoadScene`` that describe lanes, at distances from
+        the curve's beginning [m].
+        """
+        rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
+        samples_of_s = np.round(s / LANE_PATHS.spacing).astype(int)
+        nearest = np.clip(samples_of_s, 0, self.open.shape[1] - 1)
+        return {
+            "lanes": rows[: SHAPE.lanes],
+            "edges": rows[SHAPE.lanes :],
+            "open": self.open[:, nearest],
+        }
+
+
+class Section(NamedTuple):
+    """A stretch of a route on which the lanes do not change; None for a closed lane.
+
+    Attributes:
+        end: way along the route at its end [m].
+        left: lane to the left.
+        own: lane of the route.
+        right: lane to the right.
+    """
+
+    end: float
+    left: Lane | None
+    own: Lane | None
+    right: Lane | None
+
+
+@cached_on_owner
+def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
+    """Return the corridor of the route along a chain of lanes near a block of it."""
+    curve = chain.curve(block, ROUTE.smoothing, ROUTE.corner_cut)
+    ways = curve.ways  # along the chain, at each sample of the curve
+    rows = np.zeros((SHAPE.lanes + 2, ways.size))
+    is_open = np.zeros((SHAPE.lanes, ways.size), dtype=bool)
+    begin = 0
+    for section in _sections(chain, goal, ways[-1]):
+        end = int(np.searchsorted(ways, section.end))
+        if end > begin:
+            here = slice(begin, end)
+            width = float((section.own or chain.lanes[-1]).shape.width_at(0.0))
+            measured = _measure(curve.curve, here, section, width)
+            rows[:, here], is_open[:, here] = measured
+            begin = end
+    _fill(rows)
+    return Corridor(curve, rows, is_open)
+
+
+def _measure(
+    curve: Curve, here: slice, section: Section, width: float
+) -> tuple[Rows, Bool[np.ndarray, "lanes samples"]]:
+    """Return lateral positions of lanes and edges in a section of a route [m], and
+    where the lanes are open.
+
+    Args:
+        curve: of the route.
+        here: its samples in this section.
+        section: of the route.
+        width: of its lanes [m].
+    """
+    # Closed lanes are beside the route; nothing else is known of them.
+    count = here.stop - here.start
+    lanes = np.repeat([[-width], [0.0], [width]], count, axis=1)
+    is_open = np.zeros((SHAPE.lanes, count), dtype=bool)
+    is_open[1] = section.own is not None
+
+    # Lanes that diverge from the route are closed where they are far away. The road
+    # reaches from the outermost lane on the left to that on the right.
+    centres = [lanes[1]] if section.own else []
+    for place, lane, step in ((0, section.left, -1), (2, section.right, 1)):
+        if lane is None:
+            continue
+        beside = _beside(curve, here, lane)
+        is_near = ~(np.abs(beside) >= ROUTE.nearby * width)
+        lanes[place] = beside
+        is_open[place] = is_near
+        centres.append(np.where(is_near, beside, 0.0))
+        outermost = _outermost(lane, step)
+        if outermost is not lane:
+            centres.append(_beside(curve, here, outermost))
+    centres = centres or [lanes[1]]
+    left_edge = np.min(centres, axis=0) - width / 2
+    right_edge = np.max(centres, axis=0) + width / 2
+    return np.concatenate([lanes, [left_edge, right_edge]]), is_open
+
+
+def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[Section]:
+    """Yield the sections of a route up to a way along it.
+
+    A lane beside the route continues as long as it is on the route's roads or leads to
+    the goal; otherwise the neighbour of the route's next lane follows, unless it is
+    forbidden. Where the route's last lane ends but its neighbours continue, the route's
+    own lane is closed from there on; at the end of the network, it stays open.
+    """
+    sides: list[Lane | None] = [None, None]
+    for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
+        for side, step in enumerate((-1, 1)):
+            continuation = goal.next(sides[side])
+            sibling = own.beside(step)
+            joins = continuation and (
+                continuation in own.siblings
+                or continuation.end == goal.towards.get(own.start)
+            )
+            if not joins or continuation in chain.lanes:
+                is_usable = sibling is not None and not sibling.forbidden
+                continuation = sibling if is_usable else None
+            sides[side] = continuation
+        yield Section(end, sides[0], own, sides[1])
+
+    # Beyond the end of the route's lanes.
+    last = None if chain.lanes[-1].refuge else chain.lanes[-1]
+    way = chain.starts[-1]
+    while way < until:
+        continuations = [goal.next(side) for side in sides]
+        sides = sides if last else continuations
+        way += min((lane.length for lane in continuations if lane), default=inf)
+        yield Section(way, sides[0], last, sides[1])
+
+
+def _fill(rows: Rows) -> None:
+    """Replace NaN in rows by interpolation, or by 0 in rows of NaN only."""
+    for row in rows:
+        is_known = np.isfinite(row)
+        if is_known.any():
+            known = np.flatnonzero(is_known)
+            row[~is_known] = np.interp(np.flatnonzero(~is_known), known, row[is_known])
+        else:
+            row[:] = 0.0
+
+
+def _outermost(lane: Lane, step: int) -> Lane:
+    """Return the last lane to the left (step -1) or to the right (1) before a forbidden
+    one.
+    """
+    other = lane.beside(step)
+    return lane if other is None or other.forbidden else _outermost(other, step)
+
+
+def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
+    """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN
+    beyond the lane's ends.
+    """
+    x = curve.x[here]
+    y = curve.y[here]
+    heading = curve.heading[here]
+    spacing = LANE_PATHS.lane_spacing
+
+    # The part of the lane beside these samples, or the whole lane if it is short.
+    first, _ = lane.shape.local_coordinates(np.array([x[0], y[0]]))
+    last, _ = lane.shape.local_coordinates(np.array([x[-1], y[-1]]))
+    low = max(min(first, last) - ROUTE.lane_margin, 0.0)
+    high = min(max(first, last) + ROUTE.lane_margin, lane.length)
+    if high - low <= ROUTE.lane_margin:
+        margin = spacing if lane.length < 2 * spacing else 0.0  # for two samples
+        low, high = -margin, lane.length + margin
+    _, centres, along = samples(lane.shape, low, high)
+
+    # The samples in the coordinates of this part.
+    along = np.unwrap(along)
+    bend = np.gradient(along, spacing)
+    part = Curve(centres[:, 0], centres[:, 1], along, bend, 0.0, spacing)
+    s, d, turned = part.project(x, y, heading)
+    beyond_end = np.maximum(-s, s - part.end)
+    beside = -d / np.maximum(np.cos(turned), ROUTE.least_cosine)
+    return np.where(beyond_end < ROUTE.lane_extension, beside, np.nan)
