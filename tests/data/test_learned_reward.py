@@ -16,15 +16,12 @@ def test_a_learned_reward_is_read_as_it_was_written(name, tmp_path):
     assert load(tmp_path / "theta.json") == shipped(name)
 
 
-def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
+def test_the_shipped_rewards_have_converged():
     simulated, real = (shipped(name) for name in SHIPPED)
     for learned in (simulated, real):
         assert learned.converged
-        assert (
-            0
-            <= learned.log_likelihood["train"] - learned.log_likelihood["held_out"]
-            < 0.5
-        )
+        lost = learned.log_likelihood["train"] - learned.log_likelihood["held_out"]
+        assert 0 <= lost < 0.5
     for name in simulated.learned:
         assert 1 / 1.05 < simulated.weights[name] / COMMON_WEIGHTS[name] < 1.05
     assert set(real.learned) > {"headway", "closing_speed", "comfort_steering"}
@@ -57,9 +54,7 @@ def test_the_shipped_rewards_have_converged_and_say_what_they_are_worth():
         ),
     ],
 )
-def test_a_damaged_file_or_one_of_another_version_is_refused_with_a_remedy(
-    damage, message, tmp_path
-):
+def test_a_damaged_or_old_file_is_refused_with_a_remedy(damage, message, tmp_path):
     path = tmp_path / "theta.json"
     save(shipped("us101"), path)
     content = json.loads(path.read_text())
@@ -88,7 +83,7 @@ def places(content, *keys):
         yield from places(part, *keys, key)
 
 
-def test_a_damage_at_any_place_of_a_file_is_refused_in_one_short_sentence_that_names_it(
+def test_a_short_sentence_names_any_damage(
     tmp_path,
 ):
     """A tenth of all damages; texts for which any content is right, such as provenance,

@@ -1,6 +1,4 @@
-"""On physical ground, a collision is an overlap of bodies, and plans pay before bodies
-touch.
-"""
+"""On physical ground, bodies collide that overlap, and plans pay before they touch."""
 
 from dataclasses import replace
 
@@ -39,8 +37,9 @@ def rectangle(pose):
 
 
 def check(found, bodies, others):
-    """Check overlaps against those of shapely; bodies that merely touch may count or
-    not.
+    """Check overlaps against those of shapely.
+
+    Bodies that merely touch may count or not.
     """
     for overlaps, body, other in zip(found, bodies, others, strict=True):
         area = body.intersection(other).area
@@ -57,7 +56,7 @@ def test_cars_overlap_exactly_where_shapely_says_so():
     check(np.asarray(found), map(rectangle, own), map(rectangle, other))
 
 
-def test_a_car_overlaps_a_cone_exactly_where_it_overlaps_a_circle_as_wide():
+def test_a_cone_is_overlapped_like_a_circle_as_wide():
     own = random_poses(np.random.default_rng(1), 4.0)
     nobody = np.full((1, POSES, 4), 1e3)
     found = jax.jit(overlap)(SCENE, observe(own), observe(nobody))
@@ -66,8 +65,9 @@ def test_a_car_overlaps_a_cone_exactly_where_it_overlaps_a_circle_as_wide():
 
 
 def test_where_cars_overlap_plans_pay():
-    """A car pays itself if both directions differ by less than 7 degrees; else one of
-    both pays.
+    """A car pays itself if both directions differ by less than 7 degrees.
+
+    Otherwise, one of both pays.
     """
     random = np.random.default_rng(2)
     one = random_poses(random, 4.0)
@@ -96,7 +96,7 @@ def test_where_a_car_overlaps_a_cone_plans_pay():
     assert costs[overlaps].min() > 0
 
 
-def test_cars_side_by_side_in_their_lanes_and_one_behind_the_other_pay_nothing():
+def test_cars_beside_and_behind_each_other_pay_nothing():
     game = build_game(DENSE_MERGE_V1, "physical")
     others = np.array([[0.0, -3.33, 0.0, 20.0], [-6.1, 0.0, 0.0, 20.0]])
     around = observe(others[:, None])
@@ -104,15 +104,12 @@ def test_cars_side_by_side_in_their_lanes_and_one_behind_the_other_pay_nothing()
 
 
 @pytest.mark.parametrize(("contact", "collides"), [("paper", False), ("bodies", True)])
-def test_corners_that_overlap_by_half_a_metre_collide_on_physical_ground_alone(
-    contact, collides
-):
+def test_overlapping_corners_collide_on_physical_ground_alone(contact, collides):
     """The paper's nine points miss them: its ellipse does not reach into corners."""
     scene = replace(ROAD, contact=contact)
-    other = np.array([[[4.5, 2.0, 0.0, 20.0]]])
-    assert (
-        bool(touches(scene, observe(np.zeros((1, 4))), observe(other))[0]) == collides
-    )
+    own = observe(np.zeros((1, 4)))
+    other = observe(np.array([[[4.5, 2.0, 0.0, 20.0]]]))
+    assert bool(touches(scene, own, other)[0]) == collides
 
 
 def test_the_slope_of_the_cost_matches_finite_differences():

@@ -20,17 +20,15 @@ LED = replace(ROAD, leader=2)
 
 @jax.jit
 def bends(scene, reward, own, others):
-    return Payoff(scene, reward, None, True).curvature(own, jnp.stack(others, axis=1))[
-        ..., 0
-    ]
+    payoff = Payoff(scene, reward, None, True)
+    return payoff.curvature(own, jnp.stack(others, axis=1))[..., 0]
 
 
 @jax.jit
 def hessian(scene, reward, own, others):
     def cost(fields):
-        return -jnp.sum(
-            motion_reward(scene, reward, Motion(*fields[:, None]), others, smooth=True)
-        )
+        own = Motion(*fields[:, None])
+        return -jnp.sum(motion_reward(scene, reward, own, others, smooth=True))
 
     return jax.hessian(cost)(own[:, 0])
 
@@ -40,18 +38,15 @@ def motion(y, heading, x=0.0):
 
 
 def near(random, x):
-    return observe(
-        random.normal((x, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4)).astype(
-            np.float32
-        )
-    )
+    states = random.normal((x, -1.5, 0, 20), (6, 2, 0.1, 3), size=(2, 1, 4))
+    return observe(states.astype(np.float32))
 
 
 FAR = near(np.random.default_rng(0), 500)
 
 
 @pytest.mark.parametrize("name", ["speed", "target_lane", "gap"])
-def test_where_a_feature_is_a_square_its_curvature_is_the_second_derivative(name):
+def test_the_curvature_of_a_square_is_its_second_derivative(name):
     at = LED, linear_reward({name: 70.0}, 20.0), motion(-1.0, 0.05), FAR
     bent = np.asarray(bends(*at))
     exact = np.array(hessian(*at))
@@ -61,42 +56,39 @@ def test_where_a_feature_is_a_square_its_curvature_is_the_second_derivative(name
     np.testing.assert_allclose(bent, exact, rtol=1e-3, atol=1e-6)
 
 
-def test_the_curvature_of_closeness_bounds_its_hessian_and_is_not_much_larger():
+def test_the_curvature_of_closeness_bounds_its_hessian_closely():
     reward = linear_reward({"collision_risk": -1.0, "collision": -100.0}, 20.0)
     random = np.random.default_rng(0)
     larger = []
     for _ in range(20):
-        own = motion(
-            random.uniform(-4, 1), random.normal(0, 0.2), x=random.uniform(50, 66)
-        )
+        y = random.uniform(-4, 1)
+        heading = random.normal(0, 0.2)
+        own = motion(y, heading, x=random.uniform(50, 66))
         at = LED, reward, own, near(random, 60)
         bent = np.asarray(bends(*at))
         exact = np.asarray(hessian(*at))
         rounding = 1e-4 * np.abs(bent).max() + 1e-4
         assert np.linalg.eigvalsh(bent - exact)[0] > -rounding
         assert np.linalg.eigvalsh(bent + exact)[0] > -rounding
-        larger.append(
-            np.linalg.eigvalsh(bent)[-1] / np.abs(np.linalg.eigvalsh(exact)).max()
-        )
+        largest = np.abs(np.linalg.eigvalsh(exact)).max()
+        larger.append(np.linalg.eigvalsh(bent)[-1] / largest)
     assert np.median(larger) < 2.5
 
 
 @pytest.mark.parametrize("contact", ["paper", "bodies"])
-def test_the_curvature_of_any_reward_is_positive_semidefinite_and_that_of_a_gap_without_a_leader_is_zero(
-    contact,
-):
+def test_the_curvature_of_any_reward_is_positive_semidefinite(contact):
     random = np.random.default_rng(0)
     road = replace(ROAD, contact=contact)
     for _ in range(20):
         own = motion(random.uniform(-7, 4), random.normal(0, 0.2))
         weights = dict(zip(FEATURES, random.normal(0, 100, len(FEATURES)), strict=True))
-        bent = bends(
-            road,
-            linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT),
-            own,
-            near(random, 0),
-        )
+        reward = linear_reward(weights, 20.0, gap=0.3 * PAPER_UNIT)
+        bent = bends(road, reward, own, near(random, 0))
         assert np.linalg.eigvalsh(bent)[0] > -1e-4 * np.abs(bent).max()
-    assert not bends(
-        road, linear_reward({"gap": 70.0}, 20.0, names=FEATURES), motion(0.0, 0.0), FAR
-    ).any()
+
+
+@pytest.mark.parametrize("contact", ["paper", "bodies"])
+def test_the_curvature_of_a_gap_without_a_leader_is_zero(contact):
+    road = replace(ROAD, contact=contact)
+    reward = linear_reward({"gap": 70.0}, 20.0, names=FEATURES)
+    assert not bends(road, reward, motion(0.0, 0.0), FAR).any()

@@ -67,9 +67,7 @@ def test_a_car_that_keeps_its_velocity_coasts(dynamics):
 
 
 @PLANS
-def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_circle(
-    dynamics,
-):
+def test_controls_are_scaled_onto_the_friction_circle_if_beyond_it(dynamics):
     """A car that rolls backwards stops."""
     random = np.random.default_rng(0)
     speed = random.uniform(-0.5, 30, 500)
@@ -77,10 +75,11 @@ def test_controls_within_the_grip_are_kept_and_others_scaled_onto_the_friction_c
     bend = 0.02
     held = within_grip(dynamics, 8.0, speed, control, bend)
     after = step(dynamics, speed[:, None] * [0.0, 0.0, 0.0, 1.0], held)
-    turned = (
-        after[:, 2] / dynamics.time_step * speed + bend * speed**2
-    )  # m/s^2 to the side, the road's bend included
-    total = np.hypot(turned, (after[:, 3] - speed) / dynamics.time_step)
+
+    # Accelerations to the side, the road's bend included, and along the road.
+    sideways = after[:, 2] / dynamics.time_step * speed + bend * speed**2
+    along = (after[:, 3] - speed) / dynamics.time_step
+    total = np.hypot(sideways, along)
     assert total.max() <= 8.0 + 1e-6
     assert after[:, 3].min() >= -1e-12
     free = np.isclose(held, control, atol=1e-12).all(axis=1)

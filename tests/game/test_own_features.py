@@ -39,8 +39,9 @@ def room(scene, own, others):
 
 @pytest.fixture(autouse=True)
 def roomy():
-    """Merger with a cone beside the road, and a robot that likes to have room; its
-    feature is gone after the test.
+    """Merger with a cone beside the road, and a robot that likes to have room.
+
+    The feature is removed after the test.
     """
     before = dict(OWN_FEATURES)
     add_feature("room", room)
@@ -50,10 +51,8 @@ def roomy():
     OWN_FEATURES.update(before)
 
 
-def test_decisions_expand_a_feature_that_depends_on_all_cars_at_once(roomy, played):
-    """Expansions leave other cars and cones out for features of the package; this
-    feature depends on them.
-    """
+def test_decisions_expand_a_feature_of_all_cars_at_once(roomy, played):
+    """Expansions neglect other cars and cones in the package's features alone."""
     state = np.array(played("merger")[1])
     state[0, 0] -= 3.0  # close to each other
     gradient = jit_quickly(
@@ -158,7 +157,7 @@ BROKEN = {
 
 @pytest.mark.parametrize("loop", ["live", "agent", "batch", "vector", "one plan"])
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_feature_that_is_not_finite_is_refused_by_its_name(name, loop):
+def test_a_feature_that_is_not_finite_is_named(name, loop):
     function, message = BROKEN[name]
     start = np.array(
         [[-4.0, 0.0, 0.0, 20.0], [-7.0, -3.3, 0.0, 20.0], [2.0, -3.3, 0.0, 20.0]]

@@ -19,24 +19,28 @@ NARROW = replace(MERGER, cones=((0.0, 2.0),))
 features_of = jit_quickly(features)
 
 
-def test_rewards_are_linear_in_features_in_every_batch_shape_and_features_do_not_depend_on_the_unit_of_length(
-    played,
-):
+def test_features_do_not_depend_on_the_unit_of_length(played):
     game, state = played(NARROW)
     same, in_units = played(NARROW, unit=1.0)
+    found = features_of(game.scene, game.robot, state)
+    found_in_units = features_of(same.scene, same.robot, in_units)
+    np.testing.assert_allclose(found_in_units, found, rtol=2e-4, atol=1e-6)
+
+
+def test_rewards_are_linear_in_features_in_every_batch_shape(played):
+    game, state = played(NARROW)
     found = np.asarray(features_of(game.scene, game.robot, state))
-    np.testing.assert_allclose(
-        features_of(same.scene, same.robot, in_units), found, rtol=2e-4, atol=1e-6
-    )
-    earned = jit_quickly(reward)(game.scene, game.robot, np.tile(state, (2, 1, 1, 1)))
-    np.testing.assert_allclose(
-        earned, np.full((2, 1), found @ game.robot.weights), rtol=1e-6
-    )
+    states = np.tile(state, (2, 1, 1, 1))
+    earned = jit_quickly(reward)(game.scene, game.robot, states)
+    expected = np.full((2, 1), found @ game.robot.weights)
+    np.testing.assert_allclose(earned, expected, rtol=1e-6)
 
 
-def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(played):
-    """In double precision, for four cars close to each other at the left edge of the
-    road, behind a leader.
+def test_the_slope_of_every_feature_equals_differences(played):
+    """Indicators have no slope.
+
+    In double precision, for four cars close to each other at the left edge of the road,
+    behind a leader.
     """
     game, state = played("merger", humans=2, unit=1.0)
     driver = linear_reward(dict.fromkeys(FEATURES, 1.0), 0.6)
@@ -51,13 +55,10 @@ def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(
         )
 
         def slopes_and_differences(state):
-            slopes = jax.jacrev(features, argnums=2)(scene, driver, state).reshape(
-                len(FEATURES), -1
-            )
-            after, before = (
-                features(scene, driver, state + sign * steps) for sign in (1, -1)
-            )
-            return slopes, (after - before).T / 2e-6
+            slopes = jax.jacrev(features, argnums=2)(scene, driver, state)
+            after = features(scene, driver, state + steps)
+            before = features(scene, driver, state - steps)
+            return slopes.reshape(len(FEATURES), -1), (after - before).T / 2e-6
 
         both = jax.device_get(
             jax.jit(jax.vmap(slopes_and_differences, out_axes=1))(states)
@@ -74,12 +75,8 @@ def test_the_slope_of_every_feature_equals_differences_and_indicators_have_none(
 
 def test_each_human_sees_the_game_from_its_own_side(played):
     game, state = played("merger", humans=2)
-    game = replace(
-        game,
-        humans=replace(
-            game.humans, weights=game.humans.weights * np.float32([[1], [2]])
-        ),
-    )
+    weights = game.humans.weights * np.float32([[1], [2]])
+    game = replace(game, humans=replace(game.humans, weights=weights))
     swap = jax.jit(swap_players)
     for human, order in enumerate(([1, 0, 2, 3], [2, 0, 1, 3])):
         alone, own = swap(game, state, human)

@@ -26,9 +26,7 @@ def draws(scenario, humans):
 @pytest.mark.parametrize(
     "scenario", [DENSE_MERGE, CROSSING_CROWD], ids=lambda scenario: scenario.name
 )
-def test_humans_start_in_streams_of_short_spacings_with_the_robot_beside_their_middle(
-    scenario, humans
-):
+def test_streams_start_densely_with_the_robot_beside_their_middle(scenario, humans):
     shortest, longest = scenario.streams[0].spacing
     for starts, _ in draws(scenario, humans):
         assert starts.shape == (1 + humans, 4)
@@ -60,7 +58,7 @@ def test_humans_in_streams_differ_only_in_how_readily_they_yield():
 
 
 @pytest.mark.parametrize("scenario", [MERGER, DENSE_MERGE])
-def test_humans_drive_for_given_weights_for_their_own_aims_and_more_boldly_in_dense_traffic(
+def test_humans_combine_given_weights_with_aims_and_caution(
     scenario,
 ):
     game = build_game(scenario, human_driving=LEARNED)
@@ -131,7 +129,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("changes", "message"), WRONG.values(), ids=WRONG)
-def test_a_scenario_that_cannot_be_driven_is_refused_when_it_is_added(changes, message):
+def test_a_scenario_that_cannot_be_driven_is_not_added(changes, message):
     before = list(gymnasium.registry)
     with pytest.raises(ValueError, match=f"scenario 'mine'.*{message}"):
         add_scenario(

@@ -44,7 +44,7 @@ def cost(*where):
     return np.sum(late(SCENE, GRIP, motion(*where)))
 
 
-def test_a_car_that_passes_beside_an_obstacle_or_has_passed_it_pays_nothing():
+def test_a_car_beside_or_beyond_an_obstacle_pays_nothing():
     assert cost(STOP, CONE[1] - 0.8 * WIDTH) > cost(STOP, CONE[1] - 0.9 * WIDTH) > 0.0
     assert cost(STOP, CONE[1] - 1.01 * WIDTH) == 0.0
     assert cost(CONE[0] + 0.5 * LENGTH) > 0.0
@@ -72,12 +72,12 @@ def test_only_plans_for_seconds_where_there_are_obstacles_keep_room():
     )
 
 
-def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_than_it_must():
+def test_a_robot_without_a_gap_stops_just_in_time():
     """Without the cost it is 7 m too late after a second."""
     place = STOP - 34.0
-    others = (
+    others = [
         [place + ahead, SCENE.target_lane, 0.0, 20.0] for ahead in (8.0, 0.0, -8.0)
-    )
+    ]
     state = np.float32([[place, 0.0, 0.0, 21.0], *others])
     solution, _ = CompiledPlans(GAME, [Naive()]).plan(state, [0])
     x, *_, speed = np.asarray(move(GAME, state[0], solution.plan.robot))[:, HALF]
@@ -87,7 +87,7 @@ def test_a_robot_without_a_gap_beside_it_plans_to_stop_in_time_and_no_earlier_th
 BRAKING = SPEED**2 / (2 * GRIP)
 
 
-def test_a_car_pays_once_it_can_no_longer_stop_with_room_to_steer():
+def test_a_car_pays_once_it_stops_too_late_to_steer():
     assert cost(STOP - BRAKING - 0.1) == 0.0
     assert cost(STOP - BRAKING + CAR) == pytest.approx(1 / 1.2**4, rel=1e-3)
     assert cost(STOP - BRAKING + CAR, CONE[1], SPEED - 1.0) < cost(STOP - BRAKING + CAR)
@@ -111,9 +111,10 @@ def price_and_bend(payoff, own, others):
 
 
 @pytest.mark.parametrize("metres", [0.01, 0.5, 6.0, 30.0])
-def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metres):
-    """The curvature is that of squares of r, without a jump. At 30 m, the car is
-    passing the obstacle.
+def test_payoff_and_curvature_include_the_cost_of_stopping_late(metres):
+    """The curvature is that of squares of r, without a jump.
+
+    At 30 m, the car is passing the obstacle.
     """
     own = np.stack(motion(STOP - BRAKING + metres, CONE[1] - 0.4 * WIDTH))
     others = np.stack(motion(300.0, -3.3))[None]
@@ -125,15 +126,9 @@ def test_payoff_and_curvature_include_the_cost_at_the_price_of_a_collision(metre
 
     price, bent = price_and_bend(replace(GAME, scene=SCENE).payoff, own, others)
     assert price == pytest.approx(100 * lateness(0) ** 2, 2e-3, 1e-3)
-    slopes = (
-        np.array(
-            [
-                lateness(bump) - lateness(-bump)
-                for bump in 0.02 * np.eye(5, dtype=np.float32)
-            ]
-        )
-        / 0.04
-    )
+    bumps = 0.02 * np.eye(5, dtype=np.float32)
+    changes = np.array([lateness(bump) - lateness(-bump) for bump in bumps])
+    slopes = changes / 0.04
     assert not np.delete(bent, HALF, axis=-1).any()
     np.testing.assert_allclose(
         bent[..., HALF], 200 * np.outer(slopes, slopes), rtol=0.05, atol=0.2

@@ -1,5 +1,4 @@
-"""Coordinates along winding lines are inverse to each other, in NumPy and in JAX, also
-beyond the ends.
+"""Coordinates along winding lines, in NumPy and in JAX, also beyond the ends.
 
 `tests/properties/test_curves.py` holds the same of all arcs.
 """
@@ -19,20 +18,17 @@ def line_of_a_map():
     """A winding line that is not smooth."""
     along = np.arange(0.0, 200.0, 4.0)
     jagged = 0.05 * np.random.default_rng(0).normal(size=along.size)
-    return next(
-        smooth_curves(np.stack([along, 10 * np.sin(along / 40) + jagged], axis=-1))
-    )
+    aside = 10 * np.sin(along / 40) + jagged
+    return next(smooth_curves(np.stack([along, aside], axis=-1)))
 
 
 def through_a_roundabout():
     env = gym.make("roundabout-v1").unwrapped
     env.reset(seed=0)
-    goal = road_map(env.road.network).goal("nxs")
-    return (
-        goal.roads.chain(goal.ahead(goal.roads.lanes["ser", "ses", 0], 200.0))
-        .curve(0)
-        .curve
-    )
+    roads = road_map(env.road.network)
+    first = roads.lanes["ser", "ses", 0]
+    lanes = roads.goal("nxs").ahead(first, 200.0)
+    return roads.chain(lanes).curve(0).curve
 
 
 CURVES = {
@@ -46,21 +42,16 @@ def places(own, number=500):
     random = np.random.default_rng(0)
     s = random.uniform(own.start - 30.0, own.end + 30.0, number)
     farthest = min(6.0, 0.5 / np.abs(own.curvature).max(initial=0.01))
-    return (
-        s,
-        random.uniform(-farthest, farthest, number),
-        random.uniform(-3.0, 3.0, number),
-    )
+    d = random.uniform(-farthest, farthest, number)
+    return s, d, random.uniform(-3.0, 3.0, number)
 
 
 def unambiguous(own, s, d):
-    """Which places are beside their own part of the curve, and no other part is nearer."""
+    """Which places are beside their own part of the curve, and nearest to it."""
     x, y, _ = own.place(s, d)
     nearest = np.hypot(x[:, None] - own.x, y[:, None] - own.y).argmin(axis=1)
-    return (
-        np.abs(own.start + own.spacing * nearest - np.clip(s, own.start, own.end))
-        < 15.0
-    )
+    s_of_nearest = own.start + own.spacing * nearest
+    return np.abs(s_of_nearest - np.clip(s, own.start, own.end)) < 15.0
 
 
 def placed_and_projected(own, s, d, turned):
@@ -73,21 +64,22 @@ by_jax = jax.jit(placed_and_projected)
 
 
 @pytest.mark.parametrize("own", CURVES.values(), ids=CURVES)
-def test_places_and_projections_are_inverse_in_numpy_and_in_jax_and_a_curve_goes_straight_on_beyond_its_ends(
-    own,
-):
+def test_places_and_projections_are_inverse_in_numpy_and_jax(own):
     s, d, turned = places(own)
     clear = unambiguous(own, s, d)
     assert clear.mean() > 0.5
-    (by_numpy, projected), (poses, same) = (
-        of(own, s, d, turned) for of in (placed_and_projected, by_jax)
-    )
-    np.testing.assert_allclose(poses, by_numpy, atol=1e-3)
-    for found in (projected, same):
+    poses, projected = placed_and_projected(own, s, d, turned)
+    poses_by_jax, projected_by_jax = by_jax(own, s, d, turned)
+    np.testing.assert_allclose(poses_by_jax, poses, atol=1e-3)
+    for found in (projected, projected_by_jax):
         for values, true in zip(found, (s, d, turned), strict=True):
             np.testing.assert_allclose(
                 np.asarray(values)[clear], true[clear], atol=0.01
             )
+
+
+@pytest.mark.parametrize("own", CURVES.values(), ids=CURVES)
+def test_a_curve_goes_straight_on_beyond_its_ends(own):
     for end, side in ((own.start, -1), (own.end, 1)):
         x, y, heading = own.place(np.array([end, end + side * 25.0]), np.zeros(2))
         assert heading[0] == heading[1]
@@ -95,7 +87,7 @@ def test_places_and_projections_are_inverse_in_numpy_and_in_jax_and_a_curve_goes
         np.testing.assert_allclose(own.bend(np.array([end + side])), 0.0)
 
 
-def test_a_curve_through_points_of_a_circle_has_the_circles_curvature():
+def test_a_curve_through_a_circle_has_its_curvature():
     angle = np.arange(0.0, 2.0, 0.5 / 15)
     own = Curve.through(15 * np.sin(angle), 15 - 15 * np.cos(angle), spacing=0.5)
     np.testing.assert_allclose(own.curvature, 1 / 15, rtol=0.01)
