@@ -1,5 +1,5 @@
-"""Observe a highway-env road from a vehicle as arrays of fixed shapes: its route, its
-lanes and the paths of others.
+"""Observe a highway-env road from a vehicle as arrays of fixed shapes.
 
-Imports `ms_highway.geometry` and what stands below it.
+The arrays describe its route, its lanes and the paths of others. Imports
+`ms_highway.geometry` and what stands below it.
 """

@@ -63,8 +63,10 @@ class Corridor:
     open: Bool[np.ndarray, "lanes samples"]
 
     def at(self, s: Row) -> LaneFields:
-        """Return the fields of a ``RoadScene`` that describe lanes, at distances from
-        the curve's beginning [m].
+        """Return the fields of a ``RoadScene`` that describe lanes.
+
+        Args:
+            s: distances from the beginning of the curve [m].
         """
         rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
         samples_of_s = np.round(s / LANE_PATHS.spacing).astype(int)
@@ -115,14 +117,16 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
 def _measure(
     curve: Curve, here: slice, section: Section, width: float
 ) -> tuple[Rows, Bool[np.ndarray, "lanes samples"]]:
-    """Return lateral positions of lanes and edges in a section of a route [m], and
-    where the lanes are open.
+    """Measure the lanes and the edges of the road in a section of a route.
 
     Args:
         curve: of the route.
         here: its samples in this section.
         section: of the route.
         width: of its lanes [m].
+
+    Returns:
+        Lateral positions of lanes and edges [m], and where the lanes are open.
     """
     # Closed lanes are beside the route; nothing else is known of them.
     count = here.stop - here.start
@@ -195,16 +199,15 @@ def _fill(rows: Rows) -> None:
 
 
 def _outermost(lane: Lane, step: int) -> Lane:
-    """Return the last lane to the left (step -1) or to the right (1) before a forbidden
-    one.
-    """
+    """Return the last lane to the left, -1, or right, 1, before a forbidden one."""
     other = lane.beside(step)
     return lane if other is None or other.forbidden else _outermost(other, step)
 
 
 def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
-    """Return lateral positions of a lane's centre at some of a curve's samples [m], NaN
-    beyond the lane's ends.
+    """Return lateral positions of a lane's centre at some of a curve's samples [m].
+
+    They are NaN beyond the ends of the lane.
     """
     x = curve.x[here]
     y = curve.y[here]

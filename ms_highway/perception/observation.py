@@ -39,8 +39,9 @@ FOLLOWED_LANES = FollowedLanes()
 
 @dataclass
 class Memory:
-    """What a robot remembers between observations; stored on the vehicle, so that
-    copies of it observe the same.
+    """Hold what a robot remembers between observations.
+
+    It is stored on the vehicle, so that copies of it observe the same.
 
     Attributes:
         goal: to which the lanes lead.
@@ -143,8 +144,9 @@ def _pose_on(
 def _continued(
     vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory
 ) -> RoutePosition | None:
-    """Return the lanes to follow and the place on them; None if the robot has changed
-    lanes.
+    """Return the position on the lanes that the robot has followed so far.
+
+    It is None if the robot has changed lanes.
     """
     # Where the robot is on the lanes that it has followed so far.
     chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
@@ -173,8 +175,9 @@ def _continued(
 
 
 def _first_lanes(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
-    """Return the lanes to follow, beginning behind the robot's present lane, and the
-    present way along them.
+    """Return the lanes to follow, and the present way along them [m].
+
+    They begin behind the robot's present lane.
     """
     lane = goal.roads.lanes[vehicle.lane_index]
     place = float(lane.shape.local_coordinates(rear)[0])

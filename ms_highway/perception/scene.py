@@ -1,9 +1,9 @@
-"""A stretch of any road as arrays of fixed shapes: the robot's route, its lanes and
-edges, and the traffic on it.
+"""Describe a stretch of any road by arrays of fixed shapes.
 
-Road coordinates are (s, d): s along a path, d to its right [m]. A state is ``(s, d,
-heading, speed)``, the heading relative to the path. World coordinates are
-highway-env's: y points to the right of x.
+They hold the robot's route, its lanes and edges, and the traffic on it. Road
+coordinates are (s, d): s along a path, d to its right [m]. A state is ``(s, d, heading,
+speed)``, the heading relative to the path. World coordinates are highway-env's: y
+points to the right of x.
 """
 
 from dataclasses import dataclass
@@ -19,8 +19,9 @@ from ms_highway.runtime.arrays import Array, Car, Numbers, Scalar, State
 
 @dataclass(frozen=True)
 class SceneShape:
-    """Set the shapes of a scene's arrays, the same for all roads, so that plans are
-    compiled once.
+    """Set the shapes of a scene's arrays.
+
+    They are the same for all roads, so that plans are compiled once.
     """
 
     route_knots: int = 96
@@ -112,15 +113,17 @@ class RoadScene:
 
     @property
     def askew(self) -> Sizes:
-        """Constant part of the angle of each of the others to its path: 0 for cars that
-        drive.
+        """Constant part of the angle of each of the others to its path.
+
+        It is 0 for cars that drive.
         """
         return jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
 
     @property
     def reach(self) -> Sizes:
-        """Longitudinal and lateral distance of centres at which the robot and each
-        other car touch [m].
+        """Distance of centres at which the robot and each of the others touch [m].
+
+        Longitudinal and lateral, [traffic, 2].
         """
         turned = jnp.abs(jnp.sin(self.askew)) * self.sizes[:, ::-1]
         return (self.size + jnp.abs(jnp.cos(self.askew)) * self.sizes + turned) / 2

@@ -161,8 +161,9 @@ def _follow_lanes(
     states: np.ndarray,
     limits: np.ndarray,
 ) -> None:
-    """Fill in the paths along lanes, and the places, headings and speed limits of the
-    vehicles there.
+    """Fill in the paths along lanes.
+
+    Also fill in the places, headings and speed limits of the vehicles there.
 
     Args:
         ways: of all vehicles.
@@ -190,8 +191,9 @@ def _follow_lanes(
 def _go_straight_on(
     ways: list[Way], along: Row, knots: np.ndarray, limits: np.ndarray
 ) -> None:
-    """Fill in the paths of those that follow no lane, such as pedestrians, and their
-    speed limits.
+    """Fill in the paths and speed limits of those that follow no lane.
+
+    Pedestrians are such.
 
     Args:
         ways: of all vehicles.
@@ -239,11 +241,10 @@ def _ways(
     roads: RoadMap,
     intentions: bool,
 ) -> list[Way]:
-    """Return the paths that each vehicle may take, given its position, heading and
-    lane.
+    """Return the paths that each vehicle may take.
 
-    If its route is known, these are the paths that share most of its roads with the
-    route.
+    They follow from its position, heading and lane. If its route is known, these are
+    the paths that share most of its roads with the route.
     """
     # Places on the lanes that each vehicle may be following; none for those that follow
     # no lanes.
@@ -320,10 +321,10 @@ def _possible_lanes(car: Vehicle, own: Lane) -> list[Lane]:
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:
-    """Return the index of the path of the car ahead on each path, -1 without one, and
-    the distance to this car.
+    """Return the path of the car ahead on each path, and the distance to it [m].
 
-    Of the paths of the car ahead, the index is that of the first.
+    The index of a path is -1 without a car ahead. Of the paths of the car ahead, the
+    index is that of the first.
     """
     s, d, _ = paths.project(cars[:, 0], cars[:, 1], 0.0)  # [paths, cars]
     is_other = (owners[:, None] != owners) & (owners >= 0)

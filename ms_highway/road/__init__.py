@@ -1,7 +1,7 @@
-"""Drive the stock environments of highway-env: a wrapper for them, the robot, and its
-driver.
+"""Drive the stock environments of highway-env.
 
-Imports `ms_highway.envs` and what stands below it.
+There are a wrapper for them, the robot, and its driver. Imports `ms_highway.envs` and
+what stands below it.
 """
 
 from ms_highway.road.driven import Driven, drive

@@ -29,18 +29,17 @@ def added_drivers() -> list[str]:
 
 @dataclass
 class AddedRoadDriver:
-    """Drive a robot on any road, one step at a time, by a driver that is made for the
-    games of this package.
+    """Drive a robot on any road by a driver that is made for games.
 
-    The driver sees the road straightened along the robot's way, see
-    `ms_highway.road.road_view.look`: x along it, from the robot's rear axle, and y to
-    its right. Its game has the robot's lane and one to either side, the wanted lane as
-    the target lane, the reward of `ms_highway.game.scenario.COMMON_WEIGHTS`, and steps
-    as long as the robot holds a control. Its speed limit is the desired speed or, if
-    that is lower, the lane's, which is reduced before bends. Its state has seven cars:
-    the robot, then those ahead and behind in its lane, in the lane to the left, and in
-    the lane to the right. Where there is no car, a car far behind takes its place.
-    Obstacles count as standing cars.
+    It drives one step at a time, by a driver that a user has added. The driver sees the
+    road straightened along the robot's way, see `ms_highway.road.road_view.look`: x
+    along it, from the robot's rear axle, and y to its right. Its game has the robot's
+    lane and one to either side, the wanted lane as the target lane, the reward of
+    `ms_highway.game.scenario.COMMON_WEIGHTS`, and steps as long as the robot holds a
+    control. Its speed limit is the desired speed or, if that is lower, the lane's,
+    which is reduced before bends. Its state has seven cars: the robot, then those ahead
+    and behind in its lane, in the lane to the left, and in the lane to the right. Where
+    there is no car, a car far behind takes its place. Obstacles count as standing cars.
 
     Attributes:
         planning: the desired speed and the duration of a step; may be replaced between

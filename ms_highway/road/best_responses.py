@@ -1,8 +1,8 @@
-"""Predict how humans drive along their paths: each optimises the learned reward of
-commuters, given all others.
+"""Predict how humans drive along their paths, as best responses.
 
-A human chooses only its acceleration in each time step; its distance to its path
-decays. The motion of others is in the coordinates of this path.
+Each optimises the learned reward of commuters, given all others. A human chooses only
+its acceleration in each time step; its distance to its path decays. The motion of
+others is in the coordinates of this path.
 """
 
 from dataclasses import dataclass, replace
@@ -98,8 +98,10 @@ class Commuter:
         return jnp.sum(self.rewards(self.move(scaled))) - discomfort
 
     def rewards(self, motion: jax.Array) -> Steps:
-        """Return the reward after each step, given s and speed after each step [2,
-        steps].
+        """Return the reward after each step.
+
+        Args:
+            motion: s and speed after each step, [2, steps].
         """
         s, speed = motion
         own = Motion(
@@ -177,9 +179,7 @@ class Commuter:
 
     @property
     def _effects(self) -> Numbers:
-        """Derivatives of s and speed after each step in the accelerations [2, steps,
-        n].
-        """
+        """Derivatives of s and speed in the accelerations, [2, steps, n]."""
         steps = np.arange(self.planning.steps)
         dt = self.planning.time_step
         age = steps[:, None] - steps  # of each acceleration at each step

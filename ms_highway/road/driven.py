@@ -81,8 +81,10 @@ def drive(env: gym.Env, config: Mapping[str, object] | None = None) -> "Driven":
 
 
 def check_drivable(env: gym.Env) -> None:
-    """Check that an environment is one of highway-env's, has roads to follow, and has
-    actions that its reward accepts.
+    """Check that a robot can drive an environment.
+
+    It has to be one of highway-env's, have roads to follow, and have actions that its
+    reward accepts.
 
     Raises:
         ValueError: naming what works.
@@ -220,11 +222,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return self.env.render()
 
     def _described(self, info: Info) -> Info:
-        """Return ``info`` with the driver's part, whose shapes and types are the same
-        before and after the first step.
+        """Return ``info`` with the driver's part.
 
-        highway-env returns some speeds as whole numbers after a reset; they become
-        decimal numbers.
+        Its shapes and types are the same before and after the first step. highway-env
+        returns some speeds as whole numbers after a reset; they become decimal numbers.
         """
         robot = self.robots[0]
         reached = success(self)
@@ -245,8 +246,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         return described
 
     def _last_step(self, robot: RoadRobot) -> Info:
-        """Return what ``info["road"]`` says of the driver's last step, with values of
-        the same types before the first one.
+        """Return what ``info["road"]`` says of the driver's last step.
+
+        Before the first step, it has values of the same types.
         """
         last = robot.last_step
         gains = np.full((SHAPE.paths, len(TRAFFIC_MODELS)), np.nan)
@@ -264,8 +266,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         }
 
     def _plans(self, robot: RoadRobot) -> Info:
-        """Return what ``info["road"]`` says of the plans of this step; those that were
-        not made leave their places empty.
+        """Return what ``info["road"]`` says of the plans of this step.
+
+        Plans that were not made leave their places empty.
         """
         seconds = [
             step.planning_seconds + step.decision_seconds for step in robot.steps
@@ -281,8 +284,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         }
 
     def _action(self) -> np.ndarray | tuple[np.ndarray | None, ...] | None:
-        """Return the action that repeats what the robots did in this step, None where
-        there is none; with several robots, one for each.
+        """Return the action that repeats what the robots did in this step.
+
+        It is None where there is no such action; with several robots, there is one for
+        each.
         """
         if self._frames > self._frames_of_plan:
             return None
@@ -307,8 +312,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
 
 
 def placeholder_action(action_type: ActionType) -> Action:
-    """Return the action that rewards receive for a car that drives itself: idle, or
-    what it last executed.
+    """Return the action that rewards receive for a car that drives itself.
+
+    It is idle, or what the car last executed.
     """
     if isinstance(action_type, MultiAgentAction):
         return tuple(map(placeholder_action, action_type.agents_action_types))
@@ -325,12 +331,11 @@ def placeholder_action(action_type: ActionType) -> Action:
 
 
 def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | None:
-    """Return the ``ContinuousAction`` that repeats a robot's step; None for other types
-    of actions.
+    """Return the ``ContinuousAction`` that repeats a robot's step.
 
-    It is NaN where no action of the space does the same, because tyres or highway-env's
-    limits changed the control within the step, or because the control is outside the
-    ranges of the space.
+    It is None for other types of actions. It is NaN where no action of the space does
+    the same, because tyres or highway-env's limits changed the control within the step,
+    or because the control is outside the ranges of the space.
     """
     is_continuous = isinstance(action_type, ContinuousAction)
     if not is_continuous or isinstance(action_type, DiscreteAction):

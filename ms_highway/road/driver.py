@@ -1,9 +1,9 @@
-"""Drive on a stock road, by the step of all robots (`ms_highway.loop.step`), with
-proposals as plans.
+"""Drive on a stock road, with proposals as plans.
 
-The evidence for the choice of models is what the best proposal could gain from a better
-prediction of each car, see `ms_highway.road.settings`. So the robot proposes when it
-looks, before it chooses; planning is then to let others respond to the best proposals.
+The step is that of all robots, see `ms_highway.loop.step`. The evidence for the choice
+of models is what the best proposal could gain from a better prediction of each car, see
+`ms_highway.road.settings`. So the robot proposes when it looks, before it chooses;
+planning is then to let others respond to the best proposals.
 """
 
 from dataclasses import dataclass, field, replace
@@ -87,14 +87,13 @@ RoadResult: TypeAlias = StepResult[LastPlan, Look, RoadPlan]
 
 @dataclass(frozen=True, kw_only=True)
 class RoadStep(ControlStep):
-    """Record of one step of a driver on a road, where each path of others counts as a
-    human.
+    """Record one step of a driver on a road.
 
-    Controls are the curvature of the rear axle's path [1/m] and the acceleration
-    [m/s^2]. ``humans`` has the positions of others in place of their controls.
-    ``models`` has an empty name for paths without a prediction; without a finite plan,
-    these are all paths. ``gains`` are upper bounds, the same for all models except
-    naive.
+    Each path of others counts as a human. Controls are the curvature of the rear axle's
+    path [1/m] and the acceleration [m/s^2]. ``humans`` has the positions of others in
+    place of their controls. ``models`` has an empty name for paths without a
+    prediction; without a finite plan, these are all paths. ``gains`` are upper bounds,
+    the same for all models except naive.
 
     Attributes:
         path: planned x, y and heading of the robot's centre in world coordinates; no
@@ -113,8 +112,9 @@ class RoadStep(ControlStep):
 
     @property
     def failed(self) -> bool:
-        """Whether the plan is not finite, so that the robot follows the last plan or,
-        without one, brakes.
+        """Whether the plan is not finite.
+
+        The robot then follows the last plan or, without one, brakes.
         """
         return self.status not in ("planned", "late")
 
@@ -176,8 +176,9 @@ class RoadDriver:
         return seconds
 
     def _begin(self, scene: RoadScene) -> RoadCarry:
-        """Return what the robot carries into its first step, as after a step in which
-        nobody moved.
+        """Return what the robot carries into its first step.
+
+        It is the same as after a step in which nobody moved.
         """
         last = no_plan(self.planning)
         memory = first_memory(self.rule, SHAPE.paths)
@@ -193,8 +194,11 @@ class RoadDriver:
         return Carry(memory, outcome, None, nothing_left)
 
     def _record(self, result: RoadResult, compile_seconds: float) -> RoadStep:
-        """Return the record of a step, given what happened and the seconds of
-        compilation.
+        """Return the record of a step.
+
+        Args:
+            result: what happened.
+            compile_seconds: seconds of compilation.
         """
         plan = result.planned.details
         look = result.choice.observation
@@ -232,8 +236,10 @@ class RoadDriver:
         )
 
     def _source(self, result: RoadResult, plan: RoadPlan) -> str:
-        """Return what drives: where the best plan does not, the last one does, or
-        braking; the best plan may also be one of these.
+        """Return what drives.
+
+        Where the best plan does not, the last one does, or braking; the best plan may
+        also be one of these.
         """
         if STATUSES[result.status] != "planned":
             return "last plan" if result.driven.steps > 0 else "braking"
@@ -248,8 +254,9 @@ class RoadDriver:
     # Parts of a step
 
     def _choose(self, carry: RoadCarry, scene: RoadScene) -> RoadChoice:
-        """Look at the road, propose plans, and choose a model for each car by what it
-        could gain.
+        """Look at the road, propose plans, and choose a model for each car.
+
+        The choice depends on what a better prediction of the car could gain.
         """
         scene = self._with_accelerations(carry.outcome.before, scene)
         rule = self.rule
@@ -296,8 +303,9 @@ class RoadDriver:
         return NewPlan(_alone(plan.controls), plan.last(), 0, False, plan)
 
     def _brake(self, left: RoadRemainder, scene: RoadScene) -> RoadRemainder:
-        """Brake straight on, by the whole grip; nothing is left for the next plan to
-        start from.
+        """Brake straight on, by the whole grip.
+
+        Nothing is left for the next plan to start from.
         """
         braking = np.full_like(left.plan.robot, [0.0, -self.planning.grip])
         warm_start = no_plan(self.planning)._replace(controls=braking)
@@ -310,9 +318,7 @@ class RoadDriver:
     # What others do
 
     def _with_accelerations(self, before: RoadScene, scene: RoadScene) -> RoadScene:
-        """Return the scene with the mean accelerations of others since the scene of the
-        last step.
-        """
+        """Return the scene with mean accelerations of others since the last step."""
         owners_before = before.owners.tolist()
         speeds_before = before.states[:, 3].tolist()
         speed_before = dict(zip(owners_before, speeds_before, strict=True))
@@ -336,7 +342,8 @@ class RoadDriver:
 
 
 def _alone(controls: Controls) -> Plan:
-    """Return a plan of the robot that expects no controls of others, whose positions
-    are predicted instead.
+    """Return a plan of the robot that expects no controls of others.
+
+    Their positions are predicted instead.
     """
     return Plan(controls, np.zeros((0, *np.shape(controls)), np.float32))

@@ -1,8 +1,7 @@
-"""Move the traffic: it keeps its speed, follows by the Intelligent Driver Model, or has
-given accelerations.
+"""Predict the traffic: it keeps its speed, follows, or has given accelerations.
 
-All others move together with the robot's proposals, step by step, so that cars that
-follow respond to the robot.
+Those that follow do so by the Intelligent Driver Model. All others move together with
+the robot's proposals, step by step, so that cars that follow respond to the robot.
 """
 
 from dataclasses import dataclass
@@ -90,12 +89,12 @@ class Behaviour(NamedTuple):
 
 
 def behaviour_of(situation: Situation, models: Places, plans: int) -> Behaviour:
-    """Return the behaviour of others that follow or keep their speed, as their models
-    say.
+    """Return the behaviour of others that follow or keep their speed.
 
-    Vehicles that may cross the robot's path keep their speed: at crossings, they do not
-    only react to the car ahead. The part of an acceleration that the model does not
-    explain fades; hard braking ahead of the robot goes on.
+    Their models say which of both they do. Vehicles that may cross the robot's path
+    keep their speed: at crossings, they do not only react to the car ahead. The part of
+    an acceleration that the model does not explain fades; hard braking ahead of the
+    robot goes on.
     """
     scene = situation.scene
     times = situation.planning.times
@@ -158,10 +157,10 @@ def traffic_motion(
 
 
 def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traffic:
-    """Return the accelerations of others that follow the car ahead on their path, and
-    the robot in their lane.
+    """Return the accelerations of others that follow the car ahead.
 
-    They desire their present speed, or the limit if they are much slower.
+    They follow the car ahead on their path, and the robot in their lane. They desire
+    their present speed, or the limit if they are much slower.
 
     Args:
         situation: what all plans share.
@@ -195,8 +194,9 @@ def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traf
 
 
 def present_accelerations(situation: Situation) -> Traffic:
-    """Return the present accelerations by the Intelligent Driver Model: the least on
-    all paths of a car.
+    """Return the present accelerations by the Intelligent Driver Model.
+
+    It is the least on all paths of a car.
     """
     scene = situation.scene
     along, across, _, speed = jnp.asarray(scene.states).T

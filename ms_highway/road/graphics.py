@@ -1,5 +1,6 @@
-"""Draw the robot's plan, predictions and rungs on the picture of a stock environment,
-and a line of text below it.
+"""Draw the robot's plan, predictions and rungs on pictures of stock environments.
+
+A line of text stands below the road.
 """
 
 from collections import Counter
@@ -21,8 +22,9 @@ PANEL = 24
 
 
 def show(env: gym.Env) -> None:
-    """Let a `RoadViewer` draw an environment that is rendered, from the next picture
-    on.
+    """Let a `RoadViewer` draw an environment that is rendered.
+
+    It draws from the next picture on.
     """
     base: AbstractEnv = env.unwrapped
     if base.render_mode is not None and not isinstance(base.viewer, RoadViewer):
@@ -30,8 +32,9 @@ def show(env: gym.Env) -> None:
 
 
 class RoadViewer(Viewer):
-    """Draws a stock environment like highway-env, the robot's plan and predictions, and
-    a line of text below.
+    """Draw a stock environment with the robot's plan and predictions.
+
+    The road is drawn by highway-env; a line of text stands below it.
     """
 
     text_size: ClassVar[int] = 13
@@ -71,8 +74,9 @@ class RoadViewer(Viewer):
         return np.moveaxis(pygame.surfarray.array3d(self.picture), 0, 1)
 
     def _draw_plan(self, step: RoadStep) -> None:
-        """Draw predictions as dots, their cars in the colours of the rungs, and the
-        plan as a line.
+        """Draw predictions as dots, and the plan as a line.
+
+        Predicted cars have the colours of their rungs.
         """
         ego = self.env.vehicle
         surface = self.sim_surface
@@ -104,8 +108,9 @@ class RoadViewer(Viewer):
             pygame.draw.lines(surface, PALETTE.ink, False, line, 2)
 
     def _draw_panel(self, step: RoadStep | None) -> None:
-        """Write how many cars each rung predicts, what drives, and how long the plan
-        took.
+        """Write what drives, and how long the plan took.
+
+        Before that, write how many cars each rung predicts.
         """
         width, height = self.picture.get_size()
         pygame.draw.rect(self.picture, PALETTE.paper, (0, height - PANEL, width, PANEL))

@@ -93,8 +93,9 @@ LATER_GAPS = LaterGaps()
 
 @dataclass(frozen=True)
 class CloseUp:
-    """Set which of the others limits the robot's speed first: the one that allows least
-    speed if the robot closes up to it.
+    """Set which of the others limits the robot's speed first.
+
+    It is the one that allows least speed if the robot closes up to it.
     """
 
     seconds: float = 3.0
@@ -148,8 +149,7 @@ class NextCar(NamedTuple):
 def speed_lost(
     situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
 ) -> LostSpeed:
-    """Return the mean loss of speed after each plan, and which of the others limits the
-    speed first.
+    """Return the mean loss of speed after each plan, and who limits the speed first.
 
     Args:
         situation: what all plans share.
@@ -188,8 +188,9 @@ def speed_lost(
 def _values(
     situation: Situation, simulated: SimulatedPlans, speed_step: Scalar
 ) -> Table:
-    """Return the value of each lane, place and speed at the end of a plan: minus the
-    loss of speed still to come [steps of speed].
+    """Return the value of each lane, place and speed at the end of a plan.
+
+    It is minus the loss of speed still to come [steps of speed].
     """
     places = speed_step * jnp.arange(VALUE_GRID.places)  # [m]
 
@@ -217,8 +218,9 @@ def _values(
 
 
 def _after_driving(value: Table) -> Table:
-    """Return the value of driving on for a second: from place p at speed v, the robot
-    reaches place p + v.
+    """Return the value of driving on for a second.
+
+    From place p at speed v, the robot reaches place p + v.
     """
     beyond = ((0, 0), (0, VALUE_GRID.speeds), (0, 0))
     value = jnp.pad(value, beyond, mode="edge")
@@ -230,9 +232,7 @@ def _after_driving(value: Table) -> Table:
 
 
 def _after_best_speed_change(value: Table) -> Table:
-    """Return the value of each speed if the robot first changes to the best speed
-    within its reach.
-    """
+    """Return the value of each speed after the best change of speed."""
     beyond = ((0, 0), (0, 0), (VALUE_GRID.slowing, VALUE_GRID.speeding))
     value = jnp.pad(value, beyond, constant_values=-jnp.inf)
     best = value[..., : VALUE_GRID.speeds]  # slows down as much as possible
@@ -242,8 +242,7 @@ def _after_best_speed_change(value: Table) -> Table:
 
 
 def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
-    """Return the value of each lane if the robot stays or changes to the lane beside
-    it, whichever is better.
+    """Return the value of each lane after the best change of lane, or none.
 
     Args:
         staying: value of each lane for a robot that is there.
@@ -273,8 +272,9 @@ def _blocked_cost(
     places: Float[Array, "places"],
     speed_step: Scalar,
 ) -> TableInTime:
-    """Return the cost of being in the way of others, or where there is no lane, in each
-    second after the plan [steps of speed].
+    """Return the cost of being in the way of others, or where there is no lane.
+
+    It is the cost in each second after the plan [steps of speed].
     """
     lane_width = situation.planning.lane_width
     from_own_lane = jnp.arange(-VALUE_GRID.lanes_beside, VALUE_GRID.lanes_beside + 1.0)
@@ -303,8 +303,9 @@ def _lanes_exist(
     centres: Float[jax.Array, "lanes"],
     places: Float[Array, "places"],
 ) -> Bool[jax.Array, "lanes places"]:
-    """Return where each lane is within the edges of the road; the robot's own lane
-    always is.
+    """Return where each lane is within the edges of the road.
+
+    The robot's own lane always is.
     """
     left_edge, right_edge = interpolate(situation.scene.edges, places)
     margin = situation.planning.lane_width / 4
@@ -320,8 +321,7 @@ def _next_car(
     centres: Float[jax.Array, "lanes"],
     places: Float[Array, "places"],
 ) -> NextCar:
-    """Return the nearest car in each lane from each place, in each second after the
-    plan.
+    """Return the nearest car in each lane, from each place and in each second.
 
     One table serves all plans, so others are where they are in most of the plans.
     """

@@ -88,8 +88,9 @@ class Proposed(NamedTuple):
 
 
 def no_plan(planning: RoadPlanning) -> LastPlan:
-    """Return the plan that replaces the last plan before the first step: it goes
-    straight on.
+    """Return what replaces the last plan before the first step.
+
+    It goes straight on.
     """
     return LastPlan(
         np.zeros((planning.steps, 2), np.float32),
@@ -135,8 +136,9 @@ def propose_road(
 
 
 def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
-    """Return the best of the proposals once the others that optimise their reward have
-    responded to them.
+    """Return the best of the proposals once others have responded to them.
+
+    Those respond that optimise their reward.
 
     Args:
         proposed: the proposals, scored with others that keep their speed or follow.
@@ -163,8 +165,9 @@ def _scored(
 
 
 def _best(followed: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
-    """Return the best plan; plans that collide if others merely follow rank behind
-    those that do not.
+    """Return the best plan.
+
+    Plans that collide if others merely follow rank behind those that do not.
 
     Args:
         followed: the plans among others that merely follow.
@@ -187,8 +190,9 @@ def _best(followed: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
 def _best_responses(
     situation: Situation, optimises: Flags, simulated: SimulatedPlans
 ) -> EachStep:
-    """Return the accelerations of the others that optimise their reward under each
-    plan; 0 for the rest.
+    """Return the accelerations of others that optimise their reward.
+
+    There is one response to each plan; the accelerations of the rest are 0.
     """
     scene = situation.scene
     planning = situation.planning

@@ -1,5 +1,7 @@
-"""Compute the control of a plan in a step: steer to its target, follow the cars ahead,
-yield to crossing cars, and slow down for bends.
+"""Compute the control of a plan in a step.
+
+A plan steers to its target, follows the cars ahead, yields to crossing cars, and
+slows down for bends.
 """
 
 from dataclasses import dataclass
@@ -94,8 +96,12 @@ LANE_CHANGE_GAPS = LaneChangeGaps()
 
 
 def target_of(situation: Situation, plan: Profiles, s: Scalar) -> jax.Array:
-    """Return the lateral position that a plan steers to where its rear axle is at s
-    [m].
+    """Return the lateral position that a plan steers to at s [m].
+
+    Args:
+        situation: what all plans share.
+        plan: the plan.
+        s: position of the rear axle [m].
     """
     obstruction = situation.obstruction
     passes = (plan.side != 0) & obstruction.exists & (s < obstruction.end)
@@ -139,12 +145,12 @@ def _lateral_goal(
     target: Scalar,
     distance: Traffic,
 ) -> Scalar:
-    """Return the lateral position to steer to: the target, or the present lane while
-    the plan waits [m].
+    """Return the lateral position to steer to [m].
 
-    If others come towards the robot in its lane, wait before changing lanes: plans that
-    follow, until they have dropped behind the cars beside them; other plans, until they
-    have overtaken them. Halfway into the lane, go on.
+    It is the target, or the present lane while the plan waits. If others come towards
+    the robot in its lane, wait before changing lanes: plans that follow, until they
+    have dropped behind the cars beside them; other plans, until they have overtaken
+    them. Halfway into the lane, go on.
     """
     scene = situation.scene
     s, d, _, speed = car
@@ -202,9 +208,9 @@ def _curvature(situation: Situation, car: Car, goal: Scalar) -> Scalar:
 def _speed_cap(
     situation: Situation, plan: Profiles, car: Car, traffic: TrafficMotion
 ) -> Scalar:
-    """Return the highest speed from which the robot can slow down for bends ahead and
-    wait for crossing cars until they have passed [m/s].
+    """Return the highest speed from which the robot can still slow down [m/s].
 
+    It slows down for bends ahead, and waits for crossing cars until they have passed.
     Past the waiting line, the robot goes on.
     """
     scene = situation.scene
@@ -237,8 +243,9 @@ def _behind_others(
     target: Scalar,
     distance: Traffic,
 ) -> Scalar:
-    """Return the acceleration behind the cars ahead, in this lane and in the target
-    lane [m/s^2].
+    """Return the acceleration behind the cars ahead [m/s^2].
+
+    They are those in this lane and in the target lane.
     """
     scene = situation.scene
     _, d, _, speed = car

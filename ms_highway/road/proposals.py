@@ -39,8 +39,10 @@ class Profile(NamedTuple):
 
 
 class Profiles(NamedTuple):
-    """Rules by which plans drive, as arrays: the fields of `Profile`, and the controls
-    of those whose controls are given.
+    """Rules by which plans drive, as arrays.
+
+    These are the fields of `Profile`, and the controls of those whose controls are
+    given.
     """
 
     lane: PlanLanes

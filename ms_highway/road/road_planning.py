@@ -44,8 +44,9 @@ class RoadPlanning:
 
     @property
     def lag(self) -> Scalar:
-        """Time by which the mean heading of motion lags behind the mean heading of the
-        car: half a frame [s].
+        """Half a frame [s].
+
+        The mean heading of motion lags behind that of the car by this time.
         """
         return jnp.minimum(self.frame, self.time_step) / 2
 

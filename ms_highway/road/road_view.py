@@ -1,8 +1,7 @@
-"""Turn a driver's view of a highway-env road into the scene of a game, straightened
-along the driver's route.
+"""Turn a driver's view of a highway-env road into the scene of a game.
 
-Arrays have the same shapes for all roads and any number of vehicles, so that plans are
-compiled once.
+The road is straightened along the driver's route. Arrays have the same shapes for all
+roads and any number of vehicles, so that plans are compiled once.
 """
 
 from dataclasses import dataclass
@@ -45,8 +44,9 @@ VIEW = ViewSettings()
 
 @dataclass(frozen=True)
 class RoadView:
-    """Surroundings of a driver in the coordinates of its route: s along it, d to its
-    right.
+    """Surroundings of a driver in the coordinates of its route.
+
+    These are s along the route and d to its right.
 
     Attributes:
         seen: what a robot would see in the driver's place.
@@ -110,8 +110,9 @@ def _others(seen: RoadScene) -> State:
 
 
 def _limit_before_bends(route: Curve, place: float) -> float:
-    """Return the highest speed [m/s] from which moderate braking suffices for all bends
-    ahead of a place [m].
+    """Return the highest speed at a place from which braking suffices [m/s].
+
+    The driver brakes moderately before all bends ahead.
     """
     ahead = np.arange(0.0, VIEW.bends_ahead)
     bends = np.maximum(np.abs(route.bend(place + ahead)), VIEW.least_curvature)

@@ -1,5 +1,6 @@
-"""A robot with highway-env's kinematics that drives itself on any road and keeps within
-its grip in every frame.
+"""A robot that drives itself on any road, within its grip in every frame.
+
+It has highway-env's kinematics.
 """
 
 from cmath import phase, rect
@@ -28,11 +29,10 @@ LARGEST_SLIP = 1.1
 
 
 def steering_of(curvature: float, length: float) -> float:
-    """Return highway-env's steering angle [rad] for a yaw rate of ``speed *
-    curvature``.
+    """Return highway-env's steering angle for a curvature [rad].
 
-    With its slip angle beta, ``yaw rate = 2 speed sin(beta) / length`` and ``tan(beta)
-    = tan(steering) / 2``.
+    The yaw rate is ``speed * curvature``. With its slip angle beta, ``yaw rate = 2
+    speed sin(beta) / length`` and ``tan(beta) = tan(steering) / 2``.
     """
     return atan(2 * tan(_slip_angle(curvature, length)))
 
@@ -100,12 +100,12 @@ def keep_grip(
 
 
 class RoadRobot(OfferedSpeeds, Vehicle):
-    """Car that drives itself with a `RoadDriver` whenever its road lets vehicles act;
-    it ignores all actions.
+    """Car that drives itself with a `RoadDriver`.
 
-    It plans every `period` and holds the control in between, within its grip in every
-    frame. It has every attribute that rewards and rules of highway-env's environments
-    read from a controlled car.
+    It acts whenever its road lets vehicles act; it ignores all actions. It plans every
+    `period` and holds the control in between, within its grip in every frame. It has
+    every attribute that rewards and rules of highway-env's environments read from a
+    controlled car.
 
     Attributes:
         period: time between two plans [s], rounded to frames of the simulation.
@@ -161,8 +161,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
 
     @classmethod
     def create_from(cls, vehicle: Vehicle) -> Self:
-        """Return a car without a driver in the place of another vehicle, on the same
-        route.
+        """Return a car without a driver in the place of another vehicle.
+
+        It is on the same route.
         """
         car = super().create_from(vehicle)
         car.route = getattr(vehicle, "route", None)
@@ -209,8 +210,9 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         self._elapsed = 0.0
 
     def step(self, dt: float) -> None:
-        """Move for ``dt`` seconds within the grip; after a crash, move like
-        highway-env's vehicles.
+        """Move for ``dt`` seconds within the grip.
+
+        After a crash, move like highway-env's vehicles.
         """
         self.time += dt
         if self.crashed:

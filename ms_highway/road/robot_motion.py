@@ -1,5 +1,6 @@
-"""Move the robot: its rear axle moves along its heading within the grip, as in
-highway-env.
+"""Move the robot within its grip.
+
+Its rear axle moves along its heading, as in highway-env.
 """
 
 from dataclasses import dataclass
@@ -30,9 +31,9 @@ GRIP_USE = GripUse()
 def limited_control(
     planning: RoadPlanning, speed: Numbers, control: Control
 ) -> Control:
-    """Limit the control to the friction circle, the largest curvature, and speeds from
-    0.
+    """Limit the control to what the car can do.
 
+    The limits are the friction circle, the largest curvature, and speeds from 0.
     Braking has a share of the grip first, ``b = min(-a, share grip)``; then the
     curvature is limited, ``(v^2 k)^2 <= grip^2 - b^2``; then the acceleration, ``a^2 <=
     grip^2 - (v^2 k)^2``.
@@ -90,8 +91,9 @@ def advance(
 
 
 def bodies(scene: RoadScene, states: States) -> Pose:
-    """Return x, y and heading of the robot's centre in world coordinates, half a length
-    ahead of its rear axle.
+    """Return x, y and heading of the robot's centre in world coordinates.
+
+    The centre is half a length ahead of the rear axle.
     """
     x, y, along = scene.route.place(states[..., 0], states[..., 1])
     heading = along + states[..., 2]

@@ -148,8 +148,10 @@ class Scores(NamedTuple):
 
     @property
     def preference(self) -> Plans:
-        """Order of the plans: sound ones first, then those that hit nobody, then those
-        with the softest impact.
+        """Order of the plans, the best one highest.
+
+        Sound ones come first, then those that hit nobody, then those with the softest
+        impact.
         """
         faults = jnp.where(
             self.impact > 0, 2 + self.impact, self.broken + self.intrusion
@@ -231,8 +233,9 @@ def _discomfort(situation: Situation, simulated: SimulatedPlans) -> EachStep:
 
 
 def _leaves(situation: Situation, simulated: SimulatedPlans) -> PlanFlags:
-    """Return whether plans leave the road farther than in their first step, which they
-    cannot change.
+    """Return whether plans leave the road farther than in their first step.
+
+    They cannot change the first step.
     """
     scene = situation.scene
     states = simulated.states
@@ -271,8 +274,7 @@ class Collisions(NamedTuple):
 def _collisions(
     situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
 ) -> Collisions:
-    """Return the cost of the nearness of each car, the depth of plans in margins, and
-    the speed of impacts.
+    """Return what the nearness of others costs, and which plans collide.
 
     If the robot can still stop before a crossing car's path after the first step, later
     collisions with that car cost less and break no constraint, because the robot will
@@ -345,8 +347,9 @@ def _counts(
 
 
 def _imposed_braking(situation: Situation, simulated: SimulatedPlans) -> EachStep:
-    """Return the braking that the robot imposes on each car behind it, beyond what
-    drivers tolerate [m/s^2].
+    """Return the braking that the robot imposes on each car behind it [m/s^2].
+
+    Braking that drivers tolerate does not count.
     """
     s, _, _, speed = simulated.robot
     other_speed = simulated.traffic.speed
@@ -383,19 +386,19 @@ def _pose(world: World) -> Pose:
 
 
 def _first(happens: Numbers) -> Numbers:
-    """Return the number of the first step in which something happens, or the number of
-    steps where nothing does.
+    """Return the number of the first step in which something happens.
+
+    It is the number of steps where nothing does.
     """
     steps = happens.shape[-1]
     return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
 
 
 def _occupied(situation: Situation, simulated: SimulatedPlans) -> EachStep:
-    """Return length and width of the space that others may occupy [m]: longer for
-    crossing cars.
+    """Return length and width of the space that others may occupy [m].
 
-    Their time of arrival is uncertain, since they may brake or speed up; their present
-    position is known.
+    The space of crossing cars is longer. Their time of arrival is uncertain, since they
+    may brake or speed up; their present position is known.
     """
     traffic = simulated.traffic
     times = situation.planning.times
@@ -411,8 +414,9 @@ def _occupied(situation: Situation, simulated: SimulatedPlans) -> EachStep:
 
 
 def _avoidable(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
-    """Return whether the robot can still stop before the path of each crossing car
-    after the first steps of a plan.
+    """Return whether the robot can still stop before each crossing path.
+
+    It has to be able to do so after the first steps of a plan.
     """
     planning = situation.planning
     crossings = situation.crossings
@@ -423,12 +427,11 @@ def _avoidable(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
 
 
 def blocks(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
-    """Return whether the robot, after a plan, still stands in the way of each crossing
-    car when that car arrives.
+    """Return whether a plan ends in the way of each crossing car.
 
-    The car keeps its speed, and the robot goes on a little faster than at the end of
-    the plan. Oncoming cars in the robot's lane count in
-    `ms_highway.road.lost_speed.speed_lost`.
+    The robot then still stands there when the car arrives. The car keeps its speed, and
+    the robot goes on a little faster than at the end of the plan. Oncoming cars in the
+    robot's lane count in `ms_highway.road.lost_speed.speed_lost`.
     """
     scene = situation.scene
     crossings = situation.crossings

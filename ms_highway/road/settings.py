@@ -1,11 +1,10 @@
-"""Read the configuration of a driver for stock environments, with its rule, which
-chooses a model for each car.
+"""Read the configuration of a driver for stock environments, with its rule.
 
-Proposals are first scored with all cars under the first model of the ladder. How much
-more the best of them would earn without car i is an upper bound on the gain of any
-better prediction of this car: ``max_p (R(p) + c_i(p)) - max_p R(p)``, where proposal p
-earns R(p), and c_i(p) is the cost of car i in it. These bounds are the evidence of
-rules here.
+The rule chooses a model for each car. Proposals are first scored with all cars under
+the first model of the ladder. How much more the best of them would earn without car i
+is an upper bound on the gain of any better prediction of this car: ``max_p (R(p) +
+c_i(p)) - max_p R(p)``, where proposal p earns R(p), and c_i(p) is the cost of car i in
+it. These bounds are the evidence of rules here.
 """
 
 from collections.abc import Mapping
@@ -36,13 +35,15 @@ from ms_highway.runtime.limits import NotNegative, Positive
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Bounds(Estimator[PerHuman]):
-    """Say what better predictions could gain at most; the evidence is a bound for each
-    car.
+    """Say what better predictions could gain at most.
+
+    The evidence is a bound for each car.
     """
 
     def estimate(self, memory: Memory, evidence: PerHuman) -> Estimate:
-        """Return the bound of each car for all models but the first, which gains
-        nothing over itself.
+        """Return the bound of each car for all models but the first.
+
+        The first gains nothing over itself.
         """
         above_first = jnp.arange(memory.last_check.shape[1]) > 0
         gains = jnp.where(above_first, jnp.asarray(evidence)[:, None], 0.0)

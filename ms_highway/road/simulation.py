@@ -52,8 +52,10 @@ class SimulatedPlans(NamedTuple):
 
 
 class StepRecord(NamedTuple):
-    """What a step of the simulation records: the robot's state after it and executed
-    control, and the motion of others after it.
+    """What a step of the simulation records.
+
+    These are the robot's state after it, its executed control, and the motion of others
+    after it.
     """
 
     state: Car
@@ -110,8 +112,9 @@ def simulate(
 
 
 def _slip_angles(scene: RoadScene, along: EachStep) -> EachStep:
-    """Return the slip angles of others: in bends, centres do not move along the
-    heading.
+    """Return the slip angles of others.
+
+    In bends, centres do not move along the heading.
     """
     bends = jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along)
     bends = jnp.where(scene.moving[:, None], bends, 0.0)
@@ -121,8 +124,9 @@ def _slip_angles(scene: RoadScene, along: EachStep) -> EachStep:
 
 
 def earlier(first: Scalar, values: Steps) -> Steps:
-    """Shift values by a step: the first value comes first, the last of the values is
-    dropped.
+    """Shift values by a step.
+
+    The first value comes first, the last of the values is dropped.
     """
     first_column = jnp.full_like(values[..., :1], first)
     return jnp.concatenate([first_column, values[..., :-1]], axis=-1)

@@ -1,5 +1,6 @@
-"""Read goals and desired speeds of highway-env's own environments, replace their car,
-and undo their side effects.
+"""Adapt highway-env's own environments to the robot.
+
+Read their goals and desired speeds, replace their car, and undo their side effects.
 """
 
 from collections.abc import Callable
@@ -76,14 +77,16 @@ def desired_speed_of(env: gym.Env) -> float:
 
 
 def success(env: gym.Env) -> bool | None:
-    """Return whether the goal of a highway-env environment is reached now; None where
-    it has no goal.
+    """Return whether the goal of a highway-env environment is reached now.
 
-    exit: the car is on the exit or its lane; intersection: every controlled car has
-    arrived; roundabout: the car has left the ring to the north; merge: the car has
-    passed the ramp. There is no success after a crash. A u-turn counts as having no
-    goal: the road back is 191 m away, more than its 10 s allow. A `GoalEnv` defines
-    success.
+    It is None where there is no goal. A `GoalEnv` defines success; nothing succeeds
+    after a crash.
+
+    * exit: the car is on the exit or its lane.
+    * intersection: every controlled car has arrived.
+    * roundabout: the car has left the ring to the north.
+    * merge: the car has passed the ramp.
+    * u-turn: no goal, as the road back is 191 m away, more than its 10 s allow.
     """
     base: AbstractEnv = env.unwrapped
     if isinstance(base, GoalEnv):
@@ -123,8 +126,9 @@ COPIED_ATTRIBUTES = (
 def replace_ego(
     env: gym.Env, make: Callable[[Vehicle], Vehicle], number: int = 0
 ) -> Vehicle:
-    """Replace a controlled vehicle by another one in the same state and with the same
-    route.
+    """Replace a controlled vehicle by another one.
+
+    The new one is in the same state and on the same route.
 
     Args:
         env: a highway-env environment, or a wrapper of one, after a reset.
@@ -165,8 +169,9 @@ environments of the process.
 
 
 def restore_traffic() -> None:
-    """Restore highway-env's values of the attributes in `OVERWRITTEN`, unless others
-    than these have been set.
+    """Restore highway-env's values of the attributes in `OVERWRITTEN`.
+
+    Nothing is restored if others than these have been set.
     """
     if OVERWRITTEN.items() <= vars(IDMVehicle).items():
         IDMVehicle.DISTANCE_WANTED = HIGHWAY_ENV_IDM.standstill

@@ -1,5 +1,6 @@
-"""Know where the corners of the robot's body are in bends, where the front swings out
-of the way of the rear axle.
+"""Know where the corners of the robot's body are in bends.
+
+The front swings out of the way of the rear axle there.
 """
 
 from dataclasses import dataclass
@@ -41,12 +42,11 @@ SHARP_BENDS = SharpBends()
 def lateral_position(
     scene: RoadScene, states: States, ahead: Numeric, right: Numeric = 0.0
 ) -> Numbers:
-    """Return the lateral position of a point of the robot's body, on a road that bends
-    away below the body [m].
+    """Return the lateral position of a point of the robot's body [m].
 
-    A point that is x along the road from the rear axle and y beside it lies
-    ``y - x^2 k / (c + sqrt(c^2 + (k x)^2))`` beside a road of curvature k, where
-    ``c = 1 - k y``.
+    The road bends away below the body. A point that is x along the road from the rear
+    axle and y beside it lies ``y - x^2 k / (c + sqrt(c^2 + (k x)^2))`` beside a road of
+    curvature k, where ``c = 1 - k y``.
 
     Args:
         scene: the road.
@@ -63,12 +63,12 @@ def lateral_position(
 
 
 def inward_shift_of(scene: RoadScene) -> Knots:
-    """Return how far inside the middle of a lane the rear axle has to be, positive to
-    the right [m].
+    """Return how far inside the middle of a lane the rear axle has to be [m].
 
-    In most bends that is 0. Where the outer front corner would swing nearer than
-    `SharpBends.corner_margin` to the edge of the lane, the middle of the body follows
-    the middle of the lane instead of the rear axle, also shortly before and behind.
+    It is positive to the right. In most bends that is 0. Where the outer front corner
+    would swing nearer than `SharpBends.corner_margin` to the edge of the lane, the
+    middle of the body follows the middle of the lane instead of the rear axle, also
+    shortly before and behind.
 
     Returns:
         An array [knots], at each knot of the route.
@@ -95,11 +95,11 @@ def inward_shift_of(scene: RoadScene) -> Knots:
 
 
 def sharpest_bends(scene: RoadScene, inward_shift: Knots) -> Knots:
-    """Return the curvature at each knot of the route for which the robot has to be slow
-    enough there [1/m].
+    """Return the curvature for which the robot has to be slow enough [1/m].
 
-    In sharp bends, in which the rear axle is inside its lane, see `inward_shift_of`,
-    the robot steers in half its length before the bend.
+    There is one at each knot of the route. In sharp bends, in which the rear axle is
+    inside its lane, see `inward_shift_of`, the robot steers in half its length before
+    the bend.
     """
     bends = jnp.abs(scene.route.curvature)
     half_length = jnp.round(scene.size[0] / 2 / SPACING).astype(int)

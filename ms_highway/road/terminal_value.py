@@ -109,8 +109,9 @@ def _lane_value(situation: Situation, lanes: PlanLanes, done: Plans) -> Plans:
 
 
 def _urgency(situation: Situation) -> Numbers:
-    """Return the number of lane changes that the goal asks for from each of three
-    lanes, discounted by spare room.
+    """Return the number of lane changes that the goal asks for from each lane.
+
+    Spare room discounts it.
     """
     scene = situation.scene
     changes = jnp.abs(scene.changes)

@@ -1,5 +1,6 @@
-"""Define goals in time: a spot on a lane with intervals of time and speed, and the
-speed on the way there.
+"""Define goals in time, and the speed on the way there.
+
+A goal is a spot on a lane with intervals of time and speed.
 """
 
 from dataclasses import dataclass, replace
@@ -66,8 +67,9 @@ class TimedGoal:
     speeds: tuple[float, float]
 
     def distance(self, vehicle: Vehicle) -> float:
-        """Return the distance to the spot along a vehicle's lanes [m], negative if the
-        spot is behind it.
+        """Return the distance to the spot along a vehicle's lanes [m].
+
+        It is negative if the spot is behind the vehicle.
         """
         roads = road_map(vehicle.road.network)
         own = roads.lanes[vehicle.lane_index]
@@ -151,8 +153,9 @@ class TimedGoal:
     def guide(
         self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float
     ) -> None:
-        """Let a vehicle's driver plan to be there in time; the speed after that time
-        has no value.
+        """Let a vehicle's driver plan to be there in time.
+
+        The speed after that time has no value.
 
         Args:
             driver: of the vehicle.

@@ -1,5 +1,6 @@
-"""Relate the traffic to the robot's route: positions on it, crossings, leading cars,
-obstacles and speed limits.
+"""Relate the traffic to the robot's route.
+
+Find positions on it, crossings, leading cars, obstacles and speed limits.
 """
 
 from dataclasses import dataclass
@@ -7,6 +8,7 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
+from jaxtyping import Bool
 
 from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.bodies import CORNERS
@@ -23,7 +25,7 @@ from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traf
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.swing import inward_shift_of, sharpest_bends
-from ms_highway.runtime.arrays import Flag, Numbers, Scalar, Vector
+from ms_highway.runtime.arrays import Array, Flag, Numbers, Scalar, Vector
 
 STANDING_SPEED = 1.0
 """Speed below which a car counts as standing [m/s]."""
@@ -34,8 +36,7 @@ PASSING_GAP = 0.4
 
 @dataclass(frozen=True)
 class PathCosines:
-    """Say by the cosine of the angle between a car's path and the robot's route how the
-    car drives.
+    """Say by the cosine of its path's angle to the robot's route how a car drives.
 
     Each bound allows for a path that bends within the lane: 0.85 is 32 degrees, and 0.5
     is 60 degrees.
@@ -73,6 +74,11 @@ class CrossingSettings:
     paths move with their cars, so that waiting lines at knots would jump.
     """
 
+    @property
+    def present_place(self) -> int:
+        """Number of the place where a car is now."""
+        return int(BEHIND / self.place_spacing)
+
 
 CROSSING = CrossingSettings()
 
@@ -98,8 +104,9 @@ OBSTACLES = ObstacleSettings()
 
 
 class RelativePaths(NamedTuple):
-    """Paths of traffic in the coordinates of the robot's route, at the knots of the
-    paths.
+    """Paths of traffic in the coordinates of the robot's route.
+
+    They are given at the knots of the paths.
 
     Attributes:
         s, d: position on the route [m].
@@ -111,8 +118,10 @@ class RelativePaths(NamedTuple):
     cosine: Knots
 
     def at(self, along: Traffic, across: Traffic) -> Pose:
-        """Return s and d on the robot's route of others on their paths, and the cosine
-        of the angle between the two.
+        """Return where others are on the route, from where they are on their paths.
+
+        Returns:
+            s and d on the robot's route, and the cosine of the angle between the two.
         """
         s, d, cosine = (jax.vmap(interpolate)(field, along) for field in self)
         return s, d + across * cosine, cosine
@@ -230,28 +239,15 @@ def _crossings(scene: RoadScene, paths: RelativePaths) -> Crossings:
     # interpolated, since the sign of d may change between knots.
     path_length = SPACING * paths.s.shape[-1]
     places = jnp.arange(-BEHIND, path_length - BEHIND, CROSSING.place_spacing)
-    present_place = int(BEHIND / CROSSING.place_spacing)
     at_places = jax.vmap(interpolate, (0, None))
     s = at_places(paths.s, places)
     d = at_places(paths.d, places)
     distance = at_places(jnp.abs(paths.d), places)
     cosine = at_places(paths.cosine, places)
-
-    # Vehicles that drive in the robot's lane now, or merge into it behind the robot.
     in_corridor = distance < CROSSING.corridor
-    along_route = in_corridor & (cosine > COSINES.shares_lane)
-    merges_behind = along_route & (s < scene.robot[0]) & (places >= 0)
-    shares_lane = along_route[:, present_place] | merges_behind.any(axis=-1)
 
-    # Vehicles that come towards the robot in its lane.
-    oncoming = (
-        in_corridor[:, present_place]
-        & (cosine[:, present_place] < -COSINES.shares_lane)
-        & (s[:, present_place] > scene.robot[0])
-        & scene.moving
-    )
-
-    # Places where the other paths are in the robot's corridor.
+    # Places where other paths are in the robot's corridor, at an angle.
+    shares_lane = _shares_lane(scene, places, s, cosine, in_corridor)
     at_angle = (
         (s > scene.robot[0] - CROSSING.passed_margin)
         & (cosine < COSINES.shares_lane)
@@ -262,33 +258,68 @@ def _crossings(scene: RoadScene, paths: RelativePaths) -> Crossings:
     # The robot waits before the first stretch of the path that is in the corridor.
     first_s = lowest(s[:, 1:], crosses[:, 1:] & crosses[:, :-1])
     line = first_s - scene.sizes[:, 1] / 2 - CROSSING.waiting_gap
-    crossing_d = jnp.where(
-        at_angle & ~oncoming[:, None], jnp.sign(d) * distance, FREE_GAP
-    )
-    return Crossings(
-        places,
-        s,
-        crossing_d,
-        oncoming,
-        line,
-        lowest(places, crosses),
-        highest(places, crosses),
+    oncoming = _oncoming(scene, s, cosine, in_corridor)
+    counts = at_angle & ~oncoming[:, None]
+    crossing_d = jnp.where(counts, jnp.sign(d) * distance, FREE_GAP)
+    begin = lowest(places, crosses)
+    last = highest(places, crosses)
+    return Crossings(places, s, crossing_d, oncoming, line, begin, last)
+
+
+def _shares_lane(
+    scene: RoadScene,
+    places: Numbers,
+    s: Numbers,
+    cosine: Numbers,
+    in_corridor: Bool[Array, "traffic places"],
+) -> Flags:
+    """Return which vehicles drive in the robot's lane, or merge into it behind it.
+
+    Args:
+        scene: the road.
+        places: positions along the paths [m].
+        s: of these places on the route, [traffic, places] [m].
+        cosine: of the angle between path and route there.
+        in_corridor: whether the path is in the robot's corridor there.
+    """
+    along_route = in_corridor & (cosine > COSINES.shares_lane)
+    merges_behind = along_route & (s < scene.robot[0]) & (places >= 0)
+    return along_route[:, CROSSING.present_place] | merges_behind.any(axis=-1)
+
+
+def _oncoming(
+    scene: RoadScene,
+    s: Numbers,
+    cosine: Numbers,
+    in_corridor: Bool[Array, "traffic places"],
+) -> Flags:
+    """Return which vehicles come towards the robot in its lane.
+
+    For the arguments see `_shares_lane`.
+    """
+    now = CROSSING.present_place
+    return (
+        in_corridor[:, now]
+        & (cosine[:, now] < -COSINES.shares_lane)
+        & (s[:, now] > scene.robot[0])
+        & scene.moving
     )
 
 
 def lane_of(values: Knots, lanes: PlanLanes, s: Numbers) -> Numbers:
-    """Interpolate values that each lane has at the knots of the route, for plans that
-    go to one lane each.
+    """Interpolate values of lanes for plans that go to one lane each.
+
+    Each lane has its values at the knots of the route.
     """
     return jax.vmap(lambda lane, s: interpolate(values[lane], s))(lanes, s)
 
 
 def _speed_caps(scene: RoadScene, planning: RoadPlanning, inward_shift: Knots) -> Knots:
-    """Return the highest speed at each knot of the route from which gentle braking
-    suffices for all bends ahead [m/s].
+    """Return the highest speed at each knot of the route [m/s].
 
-    A bend of curvature k allows the speed ``v_k^2 = cornering grip / k``. At a distance
-    x before it, braking by b allows ``v^2 = v_k^2 + 2 b x``.
+    From there, gentle braking suffices for all bends ahead. A bend of curvature k
+    allows the speed ``v_k^2 = cornering grip / k``. At a distance x before it, braking
+    by b allows ``v^2 = v_k^2 + 2 b x``.
     """
     bends = jnp.maximum(sharpest_bends(scene, inward_shift), 1e-4)
     squared_speed = jnp.minimum(
@@ -300,29 +331,12 @@ def _speed_caps(scene: RoadScene, planning: RoadPlanning, inward_shift: Knots) -
 
 
 def _obstruction(scene: RoadScene, weights: RoadWeights) -> Obstruction:
-    """Find the obstacles in the robot's lane by the corners of bodies in the
-    coordinates of its route.
+    """Find the obstacles in the robot's lane.
 
-    Bodies that slide, ``v' = -v``, occupy both their present and their final position.
+    The corners of bodies are compared in the coordinates of the robot's route. Bodies
+    that slide, ``v' = -v``, occupy both their present and their final position.
     """
-    # Present and final positions of the bodies, [traffic, 2].
-    along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
-    slid = speed * jnp.array([0.0, 1.0])
-    x, y, path_heading = jax.vmap(Curve.place)(
-        scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading)
-    )
-
-    # Corners of the bodies in world coordinates, [traffic, 2, corners], and in those of
-    # the route in sight.
-    ahead, sideways = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)
-    path_heading = path_heading[..., None]
-    corner_x, corner_y = rotated(
-        ahead, sideways, -path_heading - scene.askew[..., None]
-    )
-    in_sight = jax.tree.map(lambda knots: knots[: OBSTACLES.knots], scene.route)
-    s, d, _ = in_sight.project(
-        x[..., None] + corner_x, y[..., None] + corner_y, path_heading
-    )
+    s, d = _corners(scene)
     rear = jnp.min(s, axis=(1, 2))
     front = jnp.max(s, axis=(1, 2))
     left = jnp.min(d, axis=(1, 2))
@@ -351,15 +365,44 @@ def _obstruction(scene: RoadScene, weights: RoadWeights) -> Obstruction:
     )
 
 
+def _corners(scene: RoadScene) -> tuple[Numbers, Numbers]:
+    """Return s and d of the corners of others on the route [m], [traffic, 2, corners].
+
+    They are those of the present and of the final position of a body that slides.
+    """
+    # Present and final positions of the bodies, [traffic, 2].
+    along, across, heading, speed = jnp.asarray(scene.states).T[..., None]
+    slid = speed * jnp.array([0.0, 1.0])
+    x, y, path_heading = jax.vmap(Curve.place)(
+        scene.paths, along + slid * jnp.cos(heading), across + slid * jnp.sin(heading)
+    )
+
+    # The corners relative to these positions, in world coordinates.
+    ahead, sideways = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)
+    path_heading = path_heading[..., None]
+    corner_x, corner_y = rotated(
+        ahead, sideways, -path_heading - scene.askew[..., None]
+    )
+
+    # The corners on the route, as far as it is in sight.
+    in_sight = jax.tree.map(lambda knots: knots[: OBSTACLES.knots], scene.route)
+    s, d, _ = in_sight.project(
+        x[..., None] + corner_x, y[..., None] + corner_y, path_heading
+    )
+    return s, d
+
+
 def lowest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the lowest of the values that count in the last axis, `FREE_GAP` where
-    none counts.
+    """Return the lowest of the values that count in the last axis.
+
+    It is `FREE_GAP` where none counts.
     """
     return jnp.where(where, values, FREE_GAP).min(axis=-1)
 
 
 def highest(values: Numbers, where: Numbers) -> Numbers:
-    """Return the highest of the values that count in the last axis, minus `FREE_GAP`
-    where none counts.
+    """Return the highest of the values that count in the last axis.
+
+    It is minus `FREE_GAP` where none counts.
     """
     return jnp.where(where, values, -FREE_GAP).max(axis=-1)
