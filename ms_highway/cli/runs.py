@@ -225,8 +225,8 @@ def sweep(options: argparse.Namespace) -> None:
     from ms_highway.experiments.summary import summary
     from ms_highway.runtime.compilation import use_devices
     from ms_highway.runtime.extras import needing
-    from ms_highway.visualization.figures import curve
     from ms_highway.visualization.tables import table
+    from ms_highway.visualization.tradeoff import curve
 
     if options.devices and options.scheduler:
         raise ValueError(

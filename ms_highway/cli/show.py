@@ -280,8 +280,8 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.experiments.frontier import Outcomes, best, regrets, search
     from ms_highway.runtime.compilation import use_devices
     from ms_highway.runtime.sources import late_sources
-    from ms_highway.visualization.figures import frontier
     from ms_highway.visualization.tables import regret_tables
+    from ms_highway.visualization.tradeoff import frontier
 
     options.lambdas = options.lambdas or [FRONTIER_LAMBDAS]
     asked = comparison(options, ["switching"], options.prices)

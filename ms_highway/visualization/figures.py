@@ -1,26 +1,18 @@
-"""Draw the figures of a comparison from its records of steps and their summary, and
-those of a frontier.
-"""
+"""Draw the figures of a comparison from its records of steps and their summary."""
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
-from matplotlib.patheffects import withStroke
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from ms_highway.envs.colors import model_color
-from ms_highway.envs.registry import (
-    controller_config,
-    controller_settings,
-    fixed_order_types,
-    priced_types,
-)
+from ms_highway.envs.registry import controller_config, priced_types
 from ms_highway.experiments.comparison import common_seeds, models_of, one_episode
 from ms_highway.experiments.summary import (
     choosing_controllers,
@@ -38,201 +30,7 @@ from ms_highway.visualization.style import (
     short,
     styled,
 )
-
-SCHEDULE_COLOR = "#8a93a5"
-FRONTIER_COLOR = "#c2185b"
-LABEL = np.array([0.08, 0.05])  # width and height of a label, as shares of the axes
-COUNTED = "planning per step, counted at T(M) [ms]"
-
-
-@styled
-def curve(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Draw reward against computation of every controller; whiskers are the 90 %
-    intervals, but not for schedules.
-
-    On the left, planning is counted at the seconds T(M) that decisions count. On the
-    right are planning and deciding as measured on this machine, if they were. A line
-    per kind joins controllers that choose online, in the order of lambda. The dashed
-    line is the highest reward of schedules and fixed models with at most this
-    computation. Crosses are random controllers.
-    """
-    rows = summaries.query("scenario == @scenario")
-    measures = {"counted_ms": COUNTED}
-    if {"planning_ms", "decision_ms"} <= set(rows):
-        rows = rows.assign(measured_ms=rows["planning_ms"] + rows["decision_ms"])
-        measures["measured_ms"] = "planning + deciding per step, measured [ms]"
-    figure = Figure(figsize=(4 + 3 * len(measures), 4.4))
-    panels = figure.subplots(1, len(measures), sharey=True, squeeze=False)[0]
-    for axes, (measure, label) in zip(panels, measures.items(), strict=True):
-        orders = rows[rows["kind"].isin(fixed_order_types())].sort_values(measure)
-        if (orders["kind"] != "fixed").any():
-            best = {
-                "linestyle": "--",
-                "drawstyle": "steps-post",
-                "label": "best fixed schedules",
-            }
-            axes.plot(
-                orders[measure],
-                orders["reward"],
-                ".",
-                color=SCHEDULE_COLOR,
-                markersize=5,
-            )
-            axes.plot(
-                orders[measure], orders["reward"].cummax(), color=SCHEDULE_COLOR, **best
-            )
-        _draw(axes, rows, measure)
-        axes.set_xlabel(label)
-    panels[0].set_ylabel("reward per step")
-    legend(figure, *panels[0].get_legend_handles_labels())
-    figure.suptitle(
-        f"{title(scenario)}: reward against computation, {episode_count(rows)}"
-    )
-    return figure
-
-
-@styled
-def frontier(behind: pd.DataFrame, scenario: str, starts: int) -> Figure:
-    """Draw reward against counted computation: the orders of models that a search
-    found, and controllers.
-
-    The line joins, over the prices that were searched, the means of the best orders of
-    each start. Dots are orders that are the same for all starts.
-
-    Args:
-        behind: rows of `ms_highway.experiments.frontier.regrets`, with columns
-            ``scenario`` and ``price``.
-        scenario: its name.
-        starts: number of starts.
-    """
-    rows = behind.query("scenario == @scenario")
-    rows = rows.assign(counted_ms=1e3 * rows["counted_seconds"])
-    found = rows.query("kind == 'search'").sort_values("counted_ms", ascending=False)
-    others = rows.query("kind != 'search'").drop_duplicates("controller")
-    orders = others[
-        others["kind"].isin(fixed_order_types()) & (others["kind"] != "fixed")
-    ]
-    figure = Figure(figsize=(7, 4.4))
-    axes = figure.subplots()
-    label = "best order of each start"
-    axes.plot(
-        orders["counted_ms"],
-        orders["reward"],
-        ".",
-        color=SCHEDULE_COLOR,
-        label="orders for all starts",
-    )
-    axes.plot(
-        found["counted_ms"], found["reward"], "D-", color=FRONTIER_COLOR, label=label
-    )
-    prices = [controller_settings(name).price for name in others["controller"]]
-    _draw(axes, others.assign(price=prices), "counted_ms")
-    axes.set(xlabel=COUNTED, ylabel="reward per step")
-    figure.suptitle(f"{title(scenario)}: the best orders of models, {starts} starts")
-    searched = ", ".join(f"{price:g}" for price in found["price"])
-    axes.set_title(
-        f"diamonds, from the right: a second of planning costs {searched}",
-        fontsize="small",
-    )
-    legend(figure, *axes.get_legend_handles_labels())
-    return figure
-
-
-def _draw(axes: Axes, rows: pd.DataFrame, measure: str) -> None:
-    """Draw the reward of all controllers but fixed orders over a measure of
-    computation.
-
-    Controllers that differ only in lambda are joined by a line, and random ones have
-    one label.
-    """
-    shown = rows[
-        ~rows["kind"].isin([*fixed_order_types(), "search"]) | (rows["kind"] == "fixed")
-    ]
-    look = looks(rows["controller"])
-    priced = shown["kind"].isin(priced_types())
-    without_lambda = shown["controller"].str.replace(
-        r"^(\w+):[^:+]*", r"\1", regex=True
-    )  # with the file, if any
-    series = (
-        shown["controller"]
-        .mask(priced, without_lambda)
-        .mask(shown["kind"] == "random", "random")
-    )
-    for name, own in shown.assign(series=series).groupby("series", sort=False):
-        first = look[own["controller"].iloc[0]]
-        kind = own["kind"].iloc[0]
-        form: dict[str, Any] = {
-            "marker": first.marker,
-            "linestyle": "none",
-            "label": first.label,
-        }
-        if kind in priced_types():
-            own = own.sort_values("price", kind="stable")
-            form |= {"linestyle": first.line, "label": f"{short(str(name))}, by lambda"}
-        elif kind == "random":
-            form |= {"marker": "x", "label": kind}
-        elif kind == "fixed":
-            form |= {
-                "markersize": 9,
-                "zorder": 1.9,
-            }  # seen around others in the same place
-        axes.errorbar(
-            own[measure],
-            own["reward"],
-            whiskers(own),
-            color=first.color,
-            capsize=3,
-            linewidth=1.2,
-            **form,
-        )
-    axes.margins(0.1)  # so that labels of points at the edges are inside
-    axes.set_xlim(left=0)
-    axes.grid()
-    axes.autoscale_view()
-    labelled: list[np.ndarray] = []
-    for price, *place in shown.dropna(subset="price")[
-        ["price", measure, "reward"]
-    ].to_numpy(float):
-        spot = axes.transAxes.inverted().transform(
-            axes.transData.transform(place)
-        )  # as shares of the axes
-        if all(
-            (np.abs(spot - other) > LABEL).any() for other in labelled
-        ):  # else labels would cover each other
-            labelled.append(spot)
-            halo = [
-                withStroke(linewidth=2, foreground="white")
-            ]  # over whiskers and markers
-            form = {
-                "xytext": (5, -11),
-                "textcoords": "offset points",
-                "fontsize": "x-small",
-            }
-            axes.annotate(f"{price:.3g}", tuple(place), path_effects=halo, **form)
-
-
-def episode_count(rows: pd.DataFrame) -> str:
-    """Return the number of episodes of each row of a summary, as text for titles."""
-    least = rows["episodes"].min()
-    most = rows["episodes"].max()
-    return f"{most if least == most else f'{least} to {most}'} episodes per controller"
-
-
-def whiskers(rows: pd.DataFrame) -> list[list[float]]:
-    """Return how far the intervals in a summary reach below and above the rewards; 0
-    without an interval.
-    """
-    reward = rows["reward"]
-    return [
-        (rows.get(end, reward) - reward).abs().fillna(0).to_list()
-        for end in ("reward_low", "reward_high")
-    ]
-
-
-MIN_LAMBDAS = 3  # of a curve
-MAX_CONTROLLERS = 8  # in bars and timelines
-MAX_DECIDING = 2  # controllers whose decisions are drawn beside each other
-SMALL_GAIN = 0.01
+from ms_highway.visualization.tradeoff import curve, episode_count, whiskers
 
 CAPTIONS = {
     "reward": (
@@ -274,7 +72,7 @@ def figures(
 
     Reward and computation are a curve of all controllers if a kind has three lambdas,
     and bars otherwise. Bars, rewards along the episode and timelines show the first
-    `MAX_CONTROLLERS`. Decisions are those of two controllers that choose online, beside
+    eight controllers. Decisions are those of two controllers that choose online, beside
     the best fixed model, from the first start that they share.
 
     Args:
@@ -284,41 +82,35 @@ def figures(
         scenario: its name.
     """
     rows = summaries.query("scenario == @scenario")
-    main = rows["controller"][:MAX_CONTROLLERS]
-    if rows.groupby("kind")["price"].nunique().max() >= MIN_LAMBDAS:
-        found: dict[str, Callable[[], Figure]] = {
-            "curve": partial(curve, summaries, scenario)
-        }
+    main = rows["controller"][:8]
+    main_rows = rows[rows["controller"].isin(main)]
+    main_records = records[records["controller"].isin(main)]
+    found: dict[str, Callable[[], Figure]] = {}
+    if rows.groupby("kind")["price"].nunique().max() >= 3:
+        found["curve"] = partial(curve, summaries, scenario)
     else:
-        found = {"bars": partial(bars, rows[rows["controller"].isin(main)], scenario)}
-    found["reward"] = partial(
-        rewards, records[records["controller"].isin(main)], scenario
-    )
-    found["timeline"] = partial(
-        timeline, records[records["controller"].isin(main)], scenario
-    )
-    deciding = choosing_controllers(summaries, scenario)[:MAX_DECIDING]
-    beside = [
-        name
-        for name in most_informative_pair(summaries, scenario)
-        if name not in deciding
-    ][:1]
+        found["bars"] = partial(bars, main_rows, scenario)
+    found["reward"] = partial(rewards, main_records, scenario)
+    found["timeline"] = partial(timeline, main_records, scenario)
+
+    # Controllers that decide, and one that is drawn beside them.
+    deciding = choosing_controllers(summaries, scenario)[:2]
+    pair = most_informative_pair(summaries, scenario)
+    beside = [name for name in pair if name not in deciding][:1]
     seeds = common_seeds(records, scenario, [*deciding, *beside])
     if deciding and seeds:
-        episodes = [
-            one_episode(records, scenario, name, seeds[0])
-            for name in (*deciding, *beside)
-        ]
-        found["decisions"] = partial(
-            decisions, episodes[: len(deciding)], *episodes[len(deciding) :]
-        )
+        start = seeds[0]
+        own = [one_episode(records, scenario, name, start) for name in deciding]
+        others = [one_episode(records, scenario, name, start) for name in beside]
+        found["decisions"] = partial(decisions, own, *others)
     return found
 
 
 @styled
 def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
-    """Draw reward and time per step of each controller, like Fig. 3 of the paper;
-    whiskers are the 90 % intervals.
+    """Draw reward and time per step of each controller, like Fig. 3 of the paper.
+
+    Whiskers are the 90 % intervals.
     """
     rows = summaries.query("scenario == @scenario")
     look = looks(rows["controller"])
@@ -352,8 +144,7 @@ def bars(summaries: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def rewards(records: pd.DataFrame, scenario: str) -> Figure:
-    """Draw the reward along the episode of each controller: the mean over episodes,
-    with its 90 % interval.
+    """Draw the mean reward along the episode of each controller, with 90 % intervals.
 
     The interval at a step is by Student's t over the episodes that have this step; a
     single episode has none. The axis ends at the smallest and the largest reward, and
@@ -371,14 +162,16 @@ def rewards(records: pd.DataFrame, scenario: str) -> Figure:
     for name, each in look.items():
         by_step = rows[rows["controller"] == name].groupby("step")["reward"]
         mean = by_step.mean()
-        ends = [interval(own) for _, own in by_step]
+        low, high = np.transpose([interval(own) for _, own in by_step])
         axes.plot(mean.index, mean, linewidth=1.8, **_marked_line(each, look))
         axes.fill_between(
-            mean.index, *np.transpose(ends), color=each.color, alpha=0.2, linewidth=0
+            mean.index, low, high, color=each.color, alpha=0.2, linewidth=0
         )
+
+    # Some room above and below, also if all rewards are the same.
     least = rows["reward"].min()
     most = rows["reward"].max()
-    room = 0.05 * max(most - least, SMALL_GAIN)
+    room = 0.05 * max(most - least, 0.01)
     axes.set(
         xlabel="step (0.1 s)",
         ylabel="reward per step",
@@ -392,19 +185,25 @@ def rewards(records: pd.DataFrame, scenario: str) -> Figure:
     return figure
 
 
-def _marked_line(own: Look, every: Mapping[str, Look]) -> dict[str, Any]:
-    """Return how a controller's line over steps is drawn; the marks of all controllers
-    are at different steps.
+def _marked_line(own: Look, every: Mapping[str, Look]) -> dict:
+    """Return how a controller's line over steps is drawn.
+
+    The marks of all controllers are at different steps.
     """
     place = [*every.values()].index(own)
-    marks = {"marker": own.marker, "markevery": (place, len(every)), "markersize": 5}
-    return {"color": own.color, "linestyle": own.line, "label": own.label, **marks}
+    return {
+        "color": own.color,
+        "linestyle": own.line,
+        "label": own.label,
+        "marker": own.marker,
+        "markevery": (place, len(every)),
+        "markersize": 5,
+    }
 
 
 @styled
 def timeline(records: pd.DataFrame, scenario: str) -> Figure:
-    """Draw time per step along the episode, and the model in use, like Fig. 2 of the
-    paper.
+    """Draw time per step and the model in use, like Fig. 2 of the paper.
 
     The upper axes show planning plus deciding, as means over episodes. Below, for each
     controller that chooses online, a row per episode shows the model of every step.
@@ -420,6 +219,8 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     above, *panels = figure.subplots(
         len(heights), 1, sharex=True, height_ratios=heights, squeeze=False
     )[:, 0]
+
+    # Computation, on a logarithmic scale.
     means = rows.pivot_table("ms", "step", "controller")
     look = looks(names)
     for name, each in look.items():
@@ -432,18 +233,17 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
     above.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
     above.yaxis.set_major_formatter(plain_ticks)
     above.yaxis.set_minor_formatter(NullFormatter())
+
+    # The models in use: a row of colours for each episode.
     for name, panel in zip(choosing, panels, strict=True):
-        models = rows[rows["controller"] == name].pivot(
-            index="seed", columns="step", values="model"
-        )
-        panel.imshow(
-            models.map(model_color).to_numpy().tolist(),
-            aspect="auto",
-            interpolation="nearest",
-        )
+        own = rows[rows["controller"] == name]
+        models = own.pivot(index="seed", columns="step", values="model")
+        colors = models.map(model_color).to_numpy().tolist()
+        panel.imshow(colors, aspect="auto", interpolation="nearest")
         panel.set_title(look[name].label, loc="left", fontsize="medium")
         panel.set(ylabel="episode", yticks=sorted({0, len(models) - 1}))
     figure.axes[-1].set_xlabel("step (0.1 s)")
+
     in_use = cheapest_first(rows.loc[rows["controller"].isin(choosing), "model"])
     used = [Patch(color=color_of(model), label=f"{model} in use") for model in in_use]
     handles = [*above.lines, *used]
@@ -457,7 +257,7 @@ def decisions(
 ) -> Figure:
     """Draw the decisions and the reward of episodes, a column per episode.
 
-    Above, the estimated gains of the models over the first one, before the price of
+    Above are the estimated gains of the models over the first one, before the price of
     their time, in the step at which they are drawn. Algorithm 1 estimates the gain of
     the last step. Learned values of computation estimate the gain of all that follows,
     less a margin for doubt. The scale is linear up to 0.01 and logarithmic beyond.
@@ -477,46 +277,68 @@ def decisions(
         squeeze=False,
         height_ratios=[1.2, 1],
     )
-    shown = {}
+    handles: dict[str, Artist] = {}
     for (upper, lower), episode in zip(panels.T, episodes, strict=True):
-        first = episode.iloc[0]
-        steps = episode["step"]
-        rewards = episode["reward"]
-        name = short(first["controller"])
-        upper.set_title(
-            f"{title(first['scenario'])}, {name}, seed {first['seed']}",
-            fontsize="medium",
-        )
-        upper.set_yscale("symlog", linthresh=SMALL_GAIN)
-        upper.yaxis.set_major_formatter(plain_ticks)
-        upper.axhline(0, color="black", linewidth=0.8)
-        for name in models_of(episode.dropna(axis=1, how="all"), "gain"):
-            style = {"color": color_of(name), "markersize": 4, "linewidth": 0.8}
-            shown[f"gain of {name}"] = upper.plot(
-                steps, episode[f"gain_{name}"], "o-", **style
-            )[0]
-        lower.plot(steps, rewards, color="black", linewidth=1.5)
-        lower.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
-        lower.set_title(
-            f"mean reward {rewards.mean():.2f}", loc="right", fontsize="small"
-        )
-        if reference is not None:
-            (line,) = lower.plot(
-                reference["step"], reference["reward"], ":", color="black"
-            )
-            shown[f"reward of {short(reference['controller'].iloc[0])}"] = line
+        handles |= _draw_gains(upper, episode)
+        handles |= _draw_reward(lower, episode, reference)
         for axes in (upper, lower):
-            for step, model in zip(steps, episode["model"], strict=True):
-                span = axes.axvspan(
-                    step - 0.5,
-                    step + 0.5,
-                    color=color_of(model),
-                    alpha=0.25,
-                    linewidth=0,
-                    zorder=0,
-                )
-                shown[f"{model} in use"] = span
+            handles |= _draw_models(axes, episode)
     panels[0, 0].set_ylabel("estimated gain")
     panels[1, 0].set_ylabel("reward per step")
-    legend(figure, shown.values(), shown)
+    legend(figure, handles.values(), handles)
     return figure
+
+
+def _draw_gains(axes: Axes, episode: pd.DataFrame) -> dict[str, Artist]:
+    """Draw the estimated gains of an episode; return handles by label."""
+    first = episode.iloc[0]
+    name = short(first["controller"])
+    axes.set_title(
+        f"{title(first['scenario'])}, {name}, seed {first['seed']}", fontsize="medium"
+    )
+    axes.set_yscale("symlog", linthresh=0.01)
+    axes.yaxis.set_major_formatter(plain_ticks)
+    axes.axhline(0, color="black", linewidth=0.8)
+    handles: dict[str, Artist] = {}
+    for model in models_of(episode.dropna(axis=1, how="all"), "gain"):
+        (line,) = axes.plot(
+            episode["step"],
+            episode[f"gain_{model}"],
+            "o-",
+            color=color_of(model),
+            markersize=4,
+            linewidth=0.8,
+        )
+        handles[f"gain of {model}"] = line
+    return handles
+
+
+def _draw_reward(
+    axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None
+) -> dict[str, Artist]:
+    """Draw the reward of an episode and of a reference; return handles by label."""
+    steps = episode["step"]
+    reward = episode["reward"]
+    axes.plot(steps, reward, color="black", linewidth=1.5)
+    axes.set(xlabel="step (0.1 s)", xlim=(-0.5, len(steps) - 0.5))
+    axes.set_title(f"mean reward {reward.mean():.2f}", loc="right", fontsize="small")
+    if reference is None:
+        return {}
+    (line,) = axes.plot(reference["step"], reference["reward"], ":", color="black")
+    name = short(reference["controller"].iloc[0])
+    return {f"reward of {name}": line}
+
+
+def _draw_models(axes: Axes, episode: pd.DataFrame) -> dict[str, Artist]:
+    """Draw the models in use as a background; return handles by label."""
+    handles: dict[str, Artist] = {}
+    for step, model in zip(episode["step"], episode["model"], strict=True):
+        handles[f"{model} in use"] = axes.axvspan(
+            step - 0.5,
+            step + 0.5,
+            color=color_of(model),
+            alpha=0.25,
+            linewidth=0,
+            zorder=0,
+        )
+    return handles

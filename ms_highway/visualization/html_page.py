@@ -1,9 +1,6 @@
-"""Make one page that shows a comparison, in one file that needs no other; and its
-tables in LaTeX.
-"""
+"""Make a page of a comparison, in one file that needs no other; and LaTeX tables."""
 
 import base64
-from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -14,11 +11,10 @@ from ms_highway.experiments.summary import Results, answer, most_informative_pai
 from ms_highway.game.scenario import title
 from ms_highway.runtime.process import Progress, silent
 from ms_highway.visualization import video
-from ms_highway.visualization.figures import CAPTIONS, episode_count, figures
+from ms_highway.visualization.figures import CAPTIONS, figures
 from ms_highway.visualization.style import drawn
 from ms_highway.visualization.tables import cells, latex
-
-UNSEEN = ("asked", "lengths")  # settings that say nothing about how results were made
+from ms_highway.visualization.tradeoff import episode_count
 
 
 def page(
@@ -27,8 +23,9 @@ def page(
     progress: Progress = silent,
     own: bool = False,
 ) -> str:
-    """Return the page of a comparison, as HTML: a section for each scenario, and the
-    settings of the results.
+    """Return the page of a comparison, as HTML.
+
+    It has a section for each scenario, and the settings of the results.
 
     Args:
         results: of the comparison.
@@ -45,25 +42,31 @@ def page(
     summaries = results.summaries
     for scenario in results.scenarios:
         progress(f"drawing {scenario}{' and filming it' if videos else ''}")
-        contents = drawn(figures(results.records, summaries, scenario))
-        pictures = {
-            name: (_data("image/png", content), CAPTIONS[name])
-            for name, content in contents.items()
+        pictures = {}
+        for name, content in drawn(
+            figures(results.records, summaries, scenario)
+        ).items():
+            pictures[name] = (_data("image/png", content), CAPTIONS[name])
+        section = {
+            "title": title(scenario),
+            "answer": answer(results.records, summaries, scenario),
+            "table": results_table(results, scenario).to_dict("split"),
+            "figures": pictures,
+            "film": _film(results, scenario, own) if videos else None,
         }
-        sections.append(
-            {
-                "title": title(scenario),
-                "answer": answer(results.records, summaries, scenario),
-                "table": results_table(results, scenario).to_dict("split"),
-                "figures": pictures,
-                "film": _film(results, scenario, own) if videos else None,
-            }
-        )
-    used = [
-        name
-        for name in models_of(summaries, "share")
-        if summaries[f"share_{name}"].any()
-    ]
+        sections.append(section)
+
+    # Models in use, and settings that say how the results were made.
+    models = {}
+    for name in models_of(summaries, "share"):
+        if summaries[f"share_{name}"].any():
+            models[name] = model_meaning(name) or "a model that was added"
+    settings = {
+        name: value
+        for name, value in results.settings.items()
+        if name not in ("asked", "lengths") and value != {}
+    }
+
     environment = Environment(
         loader=PackageLoader("ms_highway", "data"),
         autoescape=True,
@@ -73,37 +76,34 @@ def page(
     environment.filters["text"] = _text
     return environment.get_template("report.html.jinja").render(
         sections=sections,
-        models={name: model_meaning(name) or "a model that was added" for name in used},
-        settings={
-            name: value
-            for name, value in results.settings.items()
-            if name not in UNSEEN and value != {}
-        },
+        models=models,
+        settings=settings,
         runs=results.runs,
         missing=results.missing,
     )
 
 
 def results_table(results: Results, scenario: str) -> pd.DataFrame:
-    """Return the texts of `cells`, with columns for the paper's figures if they may be
-    compared.
+    """Return the texts of `cells`.
+
+    They have columns for the paper's figures if these may be compared.
     """
     texts = cells(results.summaries, scenario)
-    published = [
-        results.published(scenario, controller) for controller in texts["controller"]
-    ]
-    if any(published):
-        texts["published"] = [f"{one[0]:.2f}" if one else "" for one in published]
-        texts["published ms"] = [
-            f"{1e3 * one[1]:.0f}" if one else "" for one in published
-        ]
+    rewards = []
+    milliseconds = []
+    for controller in texts["controller"]:
+        published = results.published(scenario, controller)
+        reward, seconds = published or (None, None)
+        rewards.append("" if reward is None else f"{reward:.2f}")
+        milliseconds.append("" if seconds is None else f"{1e3 * seconds:.0f}")
+    if any(rewards):
+        texts["published"] = rewards
+        texts["published ms"] = milliseconds
     return texts
 
 
 def latex_tables(results: Results) -> str:
-    """Return the table of each scenario of a comparison as LaTeX, with a caption and a
-    label ``tab:SCENARIO``.
-    """
+    """Return the table of each scenario as LaTeX, with the label ``tab:SCENARIO``."""
     tables = [r"% needs \usepackage{booktabs}"]
     for scenario in results.scenarios:
         rows = results.summaries.query("scenario == @scenario")
@@ -111,17 +111,15 @@ def latex_tables(results: Results) -> str:
             f"{title(scenario)}: means per step, with 90 % intervals over episodes;"
             f" {episode_count(rows)}."
         )
-        tables.append(
-            latex(results_table(results, scenario), caption, f"tab:{scenario}")
-        )
+        texts = results_table(results, scenario)
+        tables.append(latex(texts, caption, f"tab:{scenario}"))
     return "\n".join(tables)
 
 
 def _film(results: Results, scenario: str, own: bool) -> dict | None:
-    """Film the most informative controllers from the first start that they share; sizes
-    are in px.
+    """Film the most informative controllers from the first start that they share.
 
-    None if no controller may be filmed.
+    Sizes are in px. The result is None if no controller may be filmed.
     """
     controllers = most_informative_pair(results.summaries, scenario, own)
     if not controllers:
@@ -131,11 +129,12 @@ def _film(results: Results, scenario: str, own: bool) -> dict | None:
     films = video.film_together(scenario, controllers, seed, **results.config(scenario))
     pictures = video.side_by_side(films)
     height, width, _ = pictures[0].shape
-    places = " above, ".join(controllers) + " below" * (len(controllers) > 1)
+    places = controllers[0]
+    if len(controllers) > 1:
+        places = " above, ".join(controllers) + " below"
+    content = video.encoded(pictures, ".mp4", films[0].frames_per_second)
     return {
-        "source": _data(
-            "video/mp4", video.encoded(pictures, ".mp4", films[0].frames_per_second)
-        ),
+        "source": _data("video/mp4", content),
         "width": width,
         "height": height,
         "caption": (
@@ -146,10 +145,11 @@ def _film(results: Results, scenario: str, own: bool) -> dict | None:
 
 
 def _data(kind: str, file: bytes) -> str:
+    """Return the content of a file as the source of an element of a page."""
     return f"data:{kind};base64,{base64.b64encode(file).decode()}"
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Return a value as text, a mapping part by part."""
     if isinstance(value, dict):
         return ", ".join(f"{name} {_text(part)}" for name, part in value.items())

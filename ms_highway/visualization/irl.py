@@ -1,14 +1,12 @@
-"""Draw predicted drivers (errors, likelihood, calibration, paths); tabulate learned
-rewards and evaluations.
-"""
+"""Draw and tabulate predictions of drivers; tabulate learned rewards."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import product
-from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
@@ -19,7 +17,7 @@ from ms_highway.irl.horizons import HORIZONS
 from ms_highway.irl.mixture import expected_path
 from ms_highway.irl.prediction import PREDICTORS, predict_with
 from ms_highway.irl.recording import Recording
-from ms_highway.irl.snapshots import cut_snapshots
+from ms_highway.irl.snapshots import Snapshots, cut_snapshots
 from ms_highway.visualization.style import legend, styled
 from ms_highway.visualization.tables import grid, texts
 
@@ -31,11 +29,6 @@ STYLES = {
     "recorded": ("#111318", "D"),
 }
 """Colour and marker of each predictor, and of the recorded path."""
-
-RECORDED = STYLES["recorded"][0]
-DRAWN = ("model", "constant_velocity", "fitted_idm")  # of the predictors, in paths
-NEAR = 0.05  # of the right share, in calibrations
-LIKELY = 0.05  # probability from which on a mode is drawn
 
 PANELS = {
     "errors": {
@@ -50,32 +43,9 @@ PANELS = {
 }
 """Metrics in each figure of an evaluation, and their labels."""
 
-METRICS = {
-    "predicted by": "{label}",
-    "after": "{horizon} s",
-    "FDE": "{fde:.2f}",
-    "RMSE": "{rmse:.2f}",
-    "miss": "{miss:.0%}",
-    "log p": "{log_p:.2f}",
-    **{f"in {level} %": f"{{inside {level}:.1%}}" for level in LEVELS},
-}
-REGIMES = {"what drivers did": "{regime}", "predictions": "{windows:.0f}"}
-REGIMES |= {label: f"{{{name}:.2f}}" for name, label in PREDICTORS.items()}
-LEARNED = {
-    "weight": "{weight}",
-    "value": "{value:.4g}",
-    "90 % interval": "{interval}",
-    "true": "{true:g}",
-    "feature of drivers": "{drivers:.3g}",
-    "feature expected": "{expected:.3g}",
-}
-"""Columns of tables, see `ms_highway.visualization.tables.texts`."""
-
 
 def evaluation_figures(evaluation: Evaluation) -> dict[str, Figure]:
-    """Draw metrics of all predictors against the horizon, a figure for each of
-    `PANELS`, see `metrics_figure`.
-    """
+    """Draw the figures of `PANELS`, see `metrics_figure`."""
     return {name: metrics_figure(evaluation, name) for name in PANELS}
 
 
@@ -97,32 +67,27 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
         for predictor, title in PREDICTORS.items():
             color, marker = STYLES[predictor]
             values = evaluation.predictors[predictor][kind]
-            axes.plot(
-                list(map(int, values)),
-                list(values.values()),
-                marker=marker,
-                color=color,
-                label=title,
-            )
-        axes.set(
-            xlabel="horizon [s]",
-            ylabel=label,
-            xticks=range(1, max(HORIZONS.seconds) + 1),
-        )
+            horizons = [int(horizon) for horizon in values]
+            means = list(values.values())
+            axes.plot(horizons, means, marker=marker, color=color, label=title)
+        ticks = range(1, max(HORIZONS.seconds) + 1)
+        axes.set(xlabel="horizon [s]", ylabel=label, xticks=ticks)
         axes.grid(axis="y")
         if kind.startswith("inside"):
             share = int(kind.split()[1]) / 100
-            axes.axhline(share, color=RECORDED, linewidth=1, linestyle="--")
-            axes.axhspan(
-                share - NEAR, min(share + NEAR, 1.0), color="#f1f2f4", zorder=0
-            )
+            low = share - 0.05
+            high = min(share + 0.05, 1.0)
+            recorded, _ = STYLES["recorded"]
+            axes.axhline(share, color=recorded, linewidth=1, linestyle="--")
+            axes.axhspan(low, high, color="#f1f2f4", zorder=0)
         if kind not in ("fde", "log_p"):
             axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     legend(figure, *panels[0].get_legend_handles_labels())
     if name == "errors":
         left, right = panels
-        kept = evaluation.predictors["constant_velocity"]["fde"]
-        left.set_ylim(0, 1.15 * max(kept.values()))  # without IDM's
+        # The highest are those of constant velocity, but for IDM's, which are cut off.
+        errors = evaluation.predictors["constant_velocity"]["fde"]
+        left.set_ylim(0, 1.15 * max(errors.values()))
         right.set_ylim(bottom=0)
         figure.suptitle(
             f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
@@ -132,48 +97,45 @@ def metrics_figure(evaluation: Evaluation, name: str) -> Figure:
 
 @styled
 def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Figure:
-    """Draw predicted and recorded paths at one moment, seen from above; marks are a
-    second apart.
+    """Draw predicted and recorded paths at one moment, seen from above.
 
-    The moment is the one with most drivers that were recorded for 3 s before and 5 s
-    after. For the learned drivers, modes of 5 % or more are drawn, with widths by their
-    probability, and for all predictors the expected path.
+    Marks are a second apart. The moment is the one with most drivers that were recorded
+    for 3 s before and 5 s after. For the learned drivers, modes of 5 % or more are
+    drawn, with widths by their probability, and for all predictors the expected path.
 
     Raises:
         ValueError: if no driver was recorded for so long.
     """
-    snapshots = cut_snapshots(recordings)
-    states = np.concatenate([snapshots.past, snapshots.future], axis=1)
-    whole = np.isfinite(states).all(axis=(1, 3)) & snapshots.predicted
-    most = int(whole.sum(axis=1).argmax())
-    if not whole[most].any():
-        raise ValueError(
-            "no driver was recorded for 8 s on end; there are no paths to be drawn"
-        )
-    one = replace(snapshots, predicted=whole).of(np.arange(len(snapshots)) == most)
-    start = one.drivers(one.now)[:, None, :2]
-    lanes = np.unique(one.lanes)
-    width = float(one.lane_width[0])
+    one = _fullest_moment(cut_snapshots(recordings))
     figure = Figure(figsize=(11, 6))
     axes = figure.subplots()
-    paths = {"recorded": one.recorded}
+
+    # The edges of the lanes.
+    lanes = np.unique(one.lanes)
+    width = float(one.lane_width[0])
     for edge in (lanes[0] - width / 2, *(lanes + width / 2)):
         axes.axhline(edge, color="#b4b9c2", linewidth=0.8)
-    for name in DRAWN:
+
+    # Modes of the learned drivers, and expected paths of all predictors.
+    least_probability = 0.05
+    paths = {"recorded": one.recorded}
+    for name in ("model", "constant_velocity", "fitted_idm"):
         modes = predict_with(name, one, drivers).modes
         paths[name] = expected_path(modes)
-        for chance, way in (
-            zip(*map(np.concatenate, modes), strict=True) if name == "model" else ()
-        ):
-            if chance >= LIKELY:
-                axes.plot(
-                    *way.T, color=STYLES[name][0], linewidth=1 + 5 * chance, alpha=0.25
-                )
+        if name != "model":
+            continue
+        color, _ = STYLES[name]
+        for probability, path in zip(*map(np.concatenate, modes), strict=True):
+            if probability >= least_probability:
+                line_width = 1 + 5 * probability
+                axes.plot(*path.T, color=color, linewidth=line_width, alpha=0.25)
+
+    start = one.drivers(one.now)[:, None, :2]
     for name, path in paths.items():
         color, marker = STYLES[name]
-        whole_paths = np.concatenate([start, path], axis=1).T
+        from_start = np.concatenate([start, path], axis=1)  # [drivers, steps, 2]
         lines = axes.plot(
-            *whole_paths,
+            *from_start.T,
             color=color,
             marker=marker,
             markevery=10,
@@ -184,115 +146,146 @@ def paths_figure(recordings: Sequence[Recording], drivers: LearnedDrivers) -> Fi
     axes.set(
         xlabel="along the road [m]", ylabel="to the right [m]", yticks=lanes.round(1)
     )
-    axes.invert_yaxis()  # the driver's left is up
+    # The driver's left is up.
+    axes.invert_yaxis()
     legend(figure, *axes.get_legend_handles_labels())
     return figure
+
+
+def _fullest_moment(snapshots: Snapshots) -> Snapshots:
+    """Return the snapshot with most drivers that were recorded in all of its steps.
+
+    Only these drivers are predicted.
+
+    Raises:
+        ValueError: if there is none.
+    """
+    states = np.concatenate([snapshots.past, snapshots.future], axis=1)
+    recorded = np.isfinite(states).all(axis=(1, 3)) & snapshots.predicted
+    fullest = int(recorded.sum(axis=1).argmax())
+    if not recorded[fullest].any():
+        raise ValueError(
+            "no driver was recorded for 8 s on end; there are no paths to be drawn"
+        )
+    chosen = np.arange(len(snapshots)) == fullest
+    return replace(snapshots, predicted=recorded).of(chosen)
 
 
 def learned_tables(
     learned: LearnedReward, true: Mapping[str, float] | None = None
 ) -> list[pd.DataFrame]:
-    """Tabulate a learned reward, and learned drivers if there are any, with 90 %
-    intervals.
+    """Tabulate a learned reward and, if there are any, learned drivers.
 
-    The last columns are mean sums of the features over a segment: of drivers, and
-    expected under the reward.
+    Tables have 90 % intervals. The last columns are mean sums of the features over a
+    segment: of drivers, and expected under the reward.
 
     Args:
         learned: the reward.
         true: the drivers' true weights by name, if they are known, for a further
             column.
     """
+    columns = {
+        "weight": "{weight}",
+        "value": "{value:.4g}",
+        "90 % interval": "{interval}",
+        "true": "{true:g}",
+        "feature of drivers": "{drivers:.3g}",
+        "feature expected": "{expected:.3g}",
+    }
     values = {**learned.weights, "temperature": learned.temperature}
-    values |= {"tails": learned.tails} if learned.tails else {}
+    if learned.tails:
+        values["tails"] = learned.tails
     counts = learned.feature_counts
-    true = true or {}
     rows = []
     for name, value in values.items():
-        row = {"weight": name, "value": value, "true": true.get(name)}
-        row |= {
+        row = {
+            "weight": name,
+            "value": value,
+            "true": (true or {}).get(name),
             "drivers": counts["human"].get(name),
             "expected": counts["model"].get(name),
         }
         if name in learned.weights:
-            row["interval"] = (
-                _ends(learned.interval(name)) if name in learned.learned else "given"
-            )
+            is_learned = name in learned.learned
+            ends = _ends(learned.interval(name)) if is_learned else "given"
+            row["interval"] = ends
         rows.append(row)
-    found = [grid(f"learned from {learned.windows} segments", texts(LEARNED, rows))]
-    return [*found, _drivers_table(learned.drivers)] if learned.drivers else found
+    tables = [grid(f"learned from {learned.windows} segments", texts(columns, rows))]
+    if learned.drivers:
+        tables.append(_drivers_table(learned.drivers))
+    return tables
 
 
-def _ends(interval: Any) -> str:
-    return "{:.3g}, {:.3g}".format(*interval)
+def _ends(interval: Float[np.ndarray, "2"]) -> str:
+    """Return the ends of an interval as text."""
+    low, high = interval
+    return f"{low:.3g}, {high:.3g}"
 
 
 def _drivers_table(drivers: LearnedDrivers) -> pd.DataFrame:
-    """Tabulate the numbers learned seconds ahead, with 90 % intervals where there are
-    any.
-    """
+    """Tabulate the numbers learned seconds ahead, with 90 % intervals if known."""
     prior = drivers.prior
+    desired_speeds, headways, patiences = prior.deviations
     numbers = {
         **drivers.weights,
         "typical headway": prior.median[1],
-        **dict(
-            zip(
-                ("desired speeds", "headways", "patiences"),
-                prior.deviations,
-                strict=True,
-            )
-        ),
+        "desired speeds": desired_speeds,
+        "headways": headways,
+        "patiences": patiences,
         "noise": prior.noise,
-        **{
-            f"{name} while changing lanes": value
-            for name, value in drivers.changing.items()
-        },
     }
+    for name, value in drivers.changing.items():
+        numbers[f"{name} while changing lanes"] = value
     rows = []
     for name, value in numbers.items():
         spread = drivers.deviations.get(name, np.nan)
-        ends = (
-            _ends(log_normal_interval(value, spread))
-            if np.isfinite(spread)
-            else "given"
-        )
-        rows.append(
-            {"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends}
-        )
+        ends = "given"
+        if np.isfinite(spread):
+            ends = _ends(log_normal_interval(value, spread))
+        row = {"weight or trait": name, "value": f"{value:.3g}", "90 % interval": ends}
+        rows.append(row)
     return grid("learned seconds ahead; factors while changing lanes", rows)
 
 
 def evaluation_tables(evaluation: Evaluation) -> list[pd.DataFrame]:
-    """Tabulate an evaluation: all metrics by horizon, then mean errors and log
+    """Tabulate an evaluation.
+
+    The first table has all metrics by horizon; the others have mean errors and log
     densities by driving regime.
     """
+    columns = {
+        "predicted by": "{label}",
+        "after": "{horizon} s",
+        "FDE": "{fde:.2f}",
+        "RMSE": "{rmse:.2f}",
+        "miss": "{miss:.0%}",
+        "log p": "{log_p:.2f}",
+        **{f"in {level} %": f"{{inside {level}:.1%}}" for level in LEVELS},
+    }
     rows = []
-    for horizon, (name, label) in product(
-        map(str, HORIZONS.seconds), PREDICTORS.items()
-    ):
-        found = {
+    horizons = [str(seconds) for seconds in HORIZONS.seconds]
+    for horizon, (name, label) in product(horizons, PREDICTORS.items()):
+        metrics = {
             kind: values[horizon]
             for kind, values in evaluation.predictors[name].items()
             if horizon in values
         }
-        if found:
-            rows.append({"label": label, "horizon": horizon, **found})
-    tables = [
-        grid(
-            f"{evaluation.windows} predictions of {evaluation.tracks} drivers",
-            texts(METRICS, rows),
-            2,
-        )
-    ]
+        if metrics:
+            rows.append({"label": label, "horizon": horizon, **metrics})
+    title = f"{evaluation.windows} predictions of {evaluation.tracks} drivers"
+    tables = [grid(title, texts(columns, rows), 2)]
+
+    columns = {"what drivers did": "{regime}", "predictions": "{windows:.0f}"}
+    for name, label in PREDICTORS.items():
+        columns[label] = f"{{{name}:.2f}}"
     regimes = (("distance", "mean error, m"), ("log_p", "mean log density"))
     for (kind, what), horizon in product(regimes, ("3", "5")):
         rows = []
-        for regime, row in evaluation.situations[kind].items():
-            errors = {name: row[name].get(horizon) for name in PREDICTORS}
-            rows.append(
-                {"regime": regime, "windows": row["windows"][horizon], **errors}
-            )
-        tables += (
-            [grid(f"{what}, after {horizon} s", texts(REGIMES, rows))] if rows else []
-        )
+        for regime, own in evaluation.situations[kind].items():
+            row = {"regime": regime, "windows": own["windows"][horizon]}
+            for name in PREDICTORS:
+                row[name] = own[name].get(horizon)
+            rows.append(row)
+        if rows:
+            tables.append(grid(f"{what}, after {horizon} s", texts(columns, rows)))
     return tables

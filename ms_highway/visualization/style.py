@@ -1,14 +1,13 @@
-"""The style of figures, how controllers look in them, their files, and the colours of
-videos for Matplotlib.
-"""
+"""The style of figures, how controllers look in them, and the files of figures."""
 
 import io
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from matplotlib import style
+from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
 from ms_highway.envs.colors import model_color
@@ -27,41 +26,29 @@ SHADES = {
 }
 """Shades of a colour for the controllers of each type, besides fixed models."""
 
-OTHER_SHADES = ("#12908e", "#62bcb9", "#0b6462", "#a9dad8")
-VARIANTS = (
-    1.0,
-    0.55,
-    1.4,
-    0.3,
-)  # of a model's colour: above 1 darker, below 1 mixed with white
+styled = style.context(
+    [
+        "default",
+        {
+            "axes.axisbelow": True,
+            "axes.spines.right": False,
+            "axes.spines.top": False,
+            "figure.constrained_layout.use": True,
+            "grid.color": "#eeeeee",
+            "legend.frameon": False,
+            # TrueType, which publishers accept.
+            "pdf.fonttype": 42,
+            # Names of controllers, files and scenarios are texts, whatever they
+            # contain.
+            "text.parse_math": False,
+        },
+    ]
+)
+"""Decorator of functions that draw a figure.
 
-LINES = ("-", "--", ":", "-.")
-MARKERS = ("o", "s", "^", "D", "v", "P", "X")
-
-DPI = 160
-LABEL_LENGTH = 28  # characters, to which names are shortened in figures
-LETTER, HANDLE = (
-    0.085,
-    0.6,
-)  # in, width of a letter and of a line with its spaces in legends
-
-OWN = {
-    "axes.axisbelow": True,
-    "axes.spines.right": False,
-    "axes.spines.top": False,
-    "figure.constrained_layout.use": True,
-    "grid.color": "#eeeeee",
-    "legend.frameon": False,
-    "pdf.fonttype": 42,  # TrueType, which publishers accept
-    # names of controllers, files and scenarios are texts, whatever they contain
-    "text.parse_math": False,
-}
-styled = style.context(["default", OWN])
-"""Decorator of functions that draw a figure: a light grid, no frame above and to the
-right.
-
-Figures do not depend on the user's ``matplotlibrc``, such as its ``text.usetex``, and
-no text in them is mathematics.
+Figures have a light grid, and no frame above and to the right. They do not depend on
+the user's ``matplotlibrc``, such as its ``text.usetex``, and no text in them is
+mathematics.
 """
 
 
@@ -87,38 +74,39 @@ def color_of(model: str) -> str:
 
 
 def looks(controllers: Iterable[str]) -> dict[str, Look]:
-    """Return how each controller looks, by its name: no two have the same label, or the
-    same colour, line and marker.
+    """Return how each controller looks, by its name.
 
-    A fixed model has its colour in videos, and other controllers a shade of the colour
-    of their type. A controller looks the same in all figures whose controllers begin
-    with the same ones.
+    No two have the same label, or the same colour, line and marker. A fixed model has
+    its colour in videos, and other controllers a shade of the colour of their type. A
+    controller looks the same in all figures whose controllers begin with the same ones.
     """
+    lines = ("-", "--", ":", "-.")
+    markers = ("o", "s", "^", "D", "v", "P", "X")
     found: dict[str, Look] = {}
     labels = Counter[str]()
-    alike = Counter[tuple[str, ...]]()
+    same_shades = Counter[tuple[str, ...]]()
     used = set[tuple[str, str, str]]()
     for name in dict.fromkeys(controllers):
         shades = _shades(name)
-        color = shades[alike[shades] % len(shades)]
-        alike[shades] += 1
+        color = shades[same_shades[shades] % len(shades)]
+        same_shades[shades] += 1
 
-        # The next line and marker that nobody of this colour has; of hundreds of
-        # controllers, some look alike
-        pairs = len(LINES) * len(MARKERS)
-        places = range(len(found), len(found) + pairs)
-        forms = [
-            (color, LINES[place % len(LINES)], MARKERS[place % len(MARKERS)])
-            for place in places
-        ]
+        # The next line and marker that no controller of this colour has; of hundreds
+        # of controllers, some look alike.
+        first = len(found)
+        forms = []
+        for place in range(first, first + len(lines) * len(markers)):
+            line = lines[place % len(lines)]
+            marker = markers[place % len(markers)]
+            forms.append((color, line, marker))
         form = next((form for form in forms if form not in used), forms[0])
         used.add(form)
 
         label = short(name)
         labels[label] += 1
-        found[name] = Look(
-            *form, f"{label} ({labels[label]})" if labels[label] > 1 else label
-        )
+        if labels[label] > 1:
+            label = f"{label} ({labels[label]})"
+        found[name] = Look(*form, label)
     return found
 
 
@@ -129,13 +117,15 @@ def _shades(name: str) -> tuple[str, ...]:
     model = config.get("model", "")
     if kind == "fixed" and is_model(model):
         base = model_color(model)
-        return tuple(_variant(base, strength) for strength in VARIANTS)
-    return SHADES.get(kind, OTHER_SHADES)
+        return tuple(_variant(base, strength) for strength in (1.0, 0.55, 1.4, 0.3))
+    other_shades = ("#12908e", "#62bcb9", "#0b6462", "#a9dad8")
+    return SHADES.get(kind, other_shades)
 
 
 def _variant(color: Sequence[int], strength: float) -> str:
-    """Return a colour mixed with white, by a strength below 1, or darkened, by one
-    above 1.
+    """Return a variant of a colour.
+
+    A strength below 1 mixes it with white, and one above 1 darkens it.
     """
     if strength > 1:
         parts = [round(part / strength) for part in color]
@@ -145,18 +135,22 @@ def _variant(color: Sequence[int], strength: float) -> str:
 
 
 def short(name: str) -> str:
-    """Return a name as a label without the middle of long names; legends would hide one
-    that begins with _.
-    """
-    half = LABEL_LENGTH // 2
-    label = name if len(name) <= LABEL_LENGTH else f"{name[: half - 1]}…{name[-half:]}"
+    """Return a name as a label, without the middle of long names."""
+    longest = 28
+    half = longest // 2
+    label = name if len(name) <= longest else f"{name[: half - 1]}…{name[-half:]}"
+    # Legends would hide a label that begins with _.
     return f" {label}" if label.startswith("_") else label
 
 
-def legend(figure: Figure, handles: Iterable[Any], labels: Iterable[str]) -> None:
+def legend(figure: Figure, handles: Iterable[Artist], labels: Iterable[str]) -> None:
     """Draw a legend below all axes, in as many columns as there is room for."""
+    # Widths of a letter, and of a line with its spaces [in].
+    letter = 0.085
+    handle = 0.6
+
     texts = list(labels)
-    width = HANDLE + LETTER * max(map(len, texts))
+    width = handle + letter * max(map(len, texts))
     columns = int(figure.get_figwidth() / width)
     figure.legend(
         list(handles),
@@ -166,34 +160,33 @@ def legend(figure: Figure, handles: Iterable[Any], labels: Iterable[str]) -> Non
     )
 
 
-def plain_ticks(value: float, _: int) -> str:
-    """Return the label of a tick on a logarithmic scale, such as 0.01, without
-    mathematics.
-    """
-    return f"{value:g}".replace("-", "\N{MINUS SIGN}", 1) if value < 0 else f"{value:g}"
+def plain_ticks(value: float, _: float) -> str:
+    """Return the label of a tick, such as 0.01, without powers of ten."""
+    text = f"{value:g}"
+    return text.replace("-", "\N{MINUS SIGN}", 1) if value < 0 else text
 
 
 @styled
 def content(figure: Figure, kind: str = "png") -> bytes:
-    """Return the content of a figure's file: ``png``, ``pdf`` with fonts that
-    publishers accept, or ``svg``.
-    """
+    """Return the content of a figure's file: ``png``, ``pdf`` or ``svg``."""
     written = io.BytesIO()
-    figure.savefig(written, format=kind, dpi=DPI)
+    figure.savefig(written, format=kind, dpi=160)
     return written.getvalue()
 
 
 def drawn(
     figures: Mapping[str, Callable[[], Figure]], kind: str = "png"
 ) -> dict[str, bytes]:
-    """Return the contents of the figures' files, by name; a figure that cannot be drawn
-    is left out, with a warning.
+    """Return the contents of the figures' files, by name.
+
+    A figure that cannot be drawn is left out, with a warning.
     """
     found = {}
     for name, draw in figures.items():
         try:
             found[name] = content(draw(), kind)
-        except Exception as error:  # results are whole without it, whatever fails
+        except Exception as error:
+            # Results are whole without it, whatever fails.
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             warnings.warn(
                 f"the figure {name} is left out, as it cannot be drawn ({reason})",

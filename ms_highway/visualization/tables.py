@@ -1,9 +1,8 @@
-"""Make tables of texts: data frames that notebooks show as they are and commands print."""
+"""Make tables of texts, which notebooks show as they are and commands print."""
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from string import Formatter
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -23,13 +22,12 @@ LATEX = {
     "<": r"\textless{}",
     ">": r"\textgreater{}",
     "|": r"\textbar{}",
-    "-": "{-}",  # two would be a dash
+    # Two would be a dash.
+    "-": "{-}",
 }
 """How characters are written in LaTeX that mean something there."""
 
-NAME_WIDTH = 32  # characters, to which longer names are shortened in print
-
-SUMMARY = {
+SUMMARY_COLUMNS = {
     "controller": "{controller}",
     "reward/step": "{reward:.2f}",
     "90 % interval": "{reward_low:.2f}, {reward_high:.2f}",
@@ -45,15 +43,9 @@ SUMMARY = {
     "late %": "{late_percent:.1f}",
     "fallback steps": "{fallbacks}",
 }
-REGRETS = {
-    "controller": "{controller}",
-    "reward": "{reward:.2f}",
-    "counted ms": "{counted}",
-    "meta-reward": "{meta_reward:.3f}",
-    "regret": "{regret:.3f}",
-    "90 % interval": "{regret_low:.3f}, {regret_high:.3f}",
-}
-DRIVERS = {
+"""Columns of a summary, see `texts`; the heading of shares names the models."""
+
+DRIVER_COLUMNS = {
     "driver": "{driver}",
     "label": "{label}",
     "success (90 % interval)": "{success:.0f} % ({low:.0f}, {high:.0f})",
@@ -70,17 +62,7 @@ DRIVERS = {
     "ms p50, p99": "{p50_ms:.1f}, {p99_ms:.1f}",
     "late": "{late:.0f} %",
 }
-SPEED = {
-    "controller": "{controller}",
-    "plan us": "{p50:.0f}",
-    "p99": "{p99:.0f}",
-    "decision us": "{decision_us:.0f}",
-    "step us": "{step_us:.0f}",
-    "steps /s": "{environment:,.0f}",
-}
-"""Columns of tables: for every heading, the format of its texts, which takes numbers by
-name.
-"""
+"""Columns of drivers on roads, likewise."""
 
 
 def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
@@ -96,17 +78,19 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
 
     def text(form: str, row: Mapping) -> str:
         names = [name for _, name, _, _ in Formatter().parse(form) if name]
-        return (
-            form.format(**row) if all(pd.notna(row.get(name)) for name in names) else ""
-        )
+        known = all(pd.notna(row.get(name)) for name in names)
+        return form.format(**row) if known else ""
 
-    table = pd.DataFrame(
-        [{heading: text(form, row) for heading, form in forms.items()} for row in rows]
-    )
+    lines = []
+    for row in rows:
+        lines.append({heading: text(form, row) for heading, form in forms.items()})
+    table = pd.DataFrame(lines)
     return table.loc[:, (table != "").any()]
 
 
-def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
+def grid(
+    title: str, rows: pd.DataFrame | Sequence[Mapping], names: int = 1
+) -> pd.DataFrame:
     """Return a table with a title in its ``attrs``.
 
     Args:
@@ -121,31 +105,31 @@ def grid(title: str, rows: Any, names: int = 1) -> pd.DataFrame:
 
 
 def printed(table: pd.DataFrame, width: int | None) -> str:
-    """Return a table of `grid` as text of a width; columns beyond it follow below,
-    beside the same names.
+    """Return a table of `grid` as text.
 
-    Long names are shortened. Without a width, every row is one line, and names are
+    Columns beyond a width follow below, beside the same names, and names of more than
+    32 characters are shortened. Without a width, every row is one line, and names are
     whole.
     """
     shown = table
     if width is not None:
-        shown = table.rename(
-            index=lambda name: (
-                name if len(name) <= NAME_WIDTH else f"{name[:15]}…{name[-16:]}"
-            )
-        )
+        shown = table.rename(index=_shortened)
     text = shown.to_string(line_width=width, sparsify=False)
-    return "\n".join(
-        [table.attrs["title"], *(line.rstrip() for line in text.splitlines()), ""]
-    )
+    lines = [line.rstrip() for line in text.splitlines()]
+    return "\n".join([table.attrs["title"], *lines, ""])
+
+
+def _shortened(name: str) -> str:
+    """Return a name without its middle if it has more than 32 characters."""
+    return name if len(name) <= 32 else f"{name[:15]}…{name[-16:]}"
 
 
 def latex(table: pd.DataFrame, caption: str, label: str) -> str:
-    """Return a table of texts as LaTeX with the package ``booktabs``; the first column
-    names the row.
+    """Return a table of texts as LaTeX with the package ``booktabs``.
 
     Args:
-        table: the texts; all numbers are right-aligned.
+        table: the texts; the first column names the row, and the others are
+            right-aligned.
         caption: of the table.
         label: by which a text refers to it.
     """
@@ -154,15 +138,15 @@ def latex(table: pd.DataFrame, caption: str, label: str) -> str:
         return "".join(LATEX.get(character, character) for character in text)
 
     def cell(text: str) -> str:
+        # The hyphen of a negative number is a minus sign.
         return re.sub(r"(?<![\w.])\{-\}(?=\d)", "$-$", escaped(text))
 
     def line(cells: Iterable[str]) -> str:
         return " & ".join(cells) + r" \\"
 
-    rows = [
-        line([rf"\texttt{{{escaped(name)}}}", *map(cell, row)])
-        for name, *row in table.to_numpy()
-    ]
+    rows = []
+    for name, *row in table.to_numpy():
+        rows.append(line([rf"\texttt{{{escaped(name)}}}", *map(cell, row)]))
     lines = [
         r"\begin{table}",
         r"\centering",
@@ -181,8 +165,9 @@ def latex(table: pd.DataFrame, caption: str, label: str) -> str:
 
 
 def two_digits(value: float) -> str | None:
-    """Return a number with two significant digits, or without decimals from 10 on; None
-    for NaN.
+    """Return a number with two significant digits, or without decimals from 10 on.
+
+    The text of NaN is None.
     """
     if pd.isna(value):
         return None
@@ -197,17 +182,20 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
     cycles, late steps and success have one with several humans.
     """
     rows = summaries.query("scenario == @scenario")
-    models = models_of(summaries, "share")
+
+    # Shares of the paper's models, and of others in use.
     models = [
         name
-        for name in models
+        for name in models_of(summaries, "share")
         if name in PAPER_MODELS or summaries[f"share_{name}"].any()
     ]
     shares = 100 * rows.reindex(columns=[f"share_{name}" for name in models])
+    share_texts = shares.map("{:.0f}".format).agg(" / ".join, axis=1)
+
     rows = rows.assign(
         reward_less_t=rows["reward"] - 1e-3 * rows["counted_ms"],
         counted=rows["counted_ms"].map(two_digits),
-        shares=shares.map("{:.0f}".format).agg(" / ".join, axis=1),
+        shares=share_texts,
         success_percent=100 * rows.get("success", np.nan),
         late_percent=100 * rows.get("late", np.nan),
     )
@@ -215,19 +203,19 @@ def cells(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
         rows = rows.assign(cycle_ms_p50=np.nan, late_percent=np.nan)
     if not np.any(rows.get("fallbacks", 0)):
         rows = rows.assign(fallbacks=np.nan)
-    return texts(_with_shares(SUMMARY, models), rows.to_dict("records"))
+    return texts(_with_shares(SUMMARY_COLUMNS, models), rows.to_dict("records"))
 
 
 def _with_shares(forms: Mapping[str, str], models: Iterable[str]) -> dict[str, str]:
     """Return the columns of a table, with the models in the heading of their shares."""
-    return {
-        heading or f"{' / '.join(models)} %": form for heading, form in forms.items()
-    }
+    heading_of_shares = f"{' / '.join(models)} %"
+    return {heading or heading_of_shares: form for heading, form in forms.items()}
 
 
 def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
-    """Return the summary of one scenario, to be printed; the title names controllers
-    whose T(M) is not known.
+    """Return the summary of one scenario, to be printed.
+
+    The title names controllers whose T(M) is not known.
     """
     title = scenario
     rows = summaries.query(
@@ -241,29 +229,36 @@ def table(summaries: pd.DataFrame, scenario: str) -> pd.DataFrame:
 
 
 def regret_tables(behind: pd.DataFrame, scenario: str) -> list[pd.DataFrame]:
-    """Return tables of regrets per step in one scenario, one per price, with the best
-    lambda of each kind.
+    """Return tables of regrets per step in one scenario, one per price.
+
+    They have the best lambda of each kind.
 
     Args:
         behind: rows of `ms_highway.experiments.frontier.regrets`, with columns
             ``scenario`` and ``price``.
         scenario: its name.
     """
+    columns = {
+        "controller": "{controller}",
+        "reward": "{reward:.2f}",
+        "counted ms": "{counted}",
+        "meta-reward": "{meta_reward:.3f}",
+        "regret": "{regret:.3f}",
+        "90 % interval": "{regret_low:.3f}, {regret_high:.3f}",
+    }
     tables = []
-    for price, rows in behind.query("scenario == @scenario").groupby(
-        "price", sort=False
-    ):
-        ranked = rows.assign(
-            counted=(1e3 * rows["counted_seconds"]).map(two_digits)
-        ).sort_values("regret")
-        shown = ranked[
-            ~(ranked["kind"].isin(priced_types()) & ranked.duplicated("kind"))
-        ]
+    of_scenario = behind.query("scenario == @scenario")
+    for price, rows in of_scenario.groupby("price", sort=False):
+        milliseconds = 1e3 * rows["counted_seconds"]
+        ranked = rows.assign(counted=milliseconds.map(two_digits))
+        ranked = ranked.sort_values("regret")
+        has_lambda = ranked["kind"].isin(priced_types())
+        shown = ranked[~(has_lambda & ranked.duplicated("kind"))]
         title = (
             f"{scenario}, a second of planning costs {price:g}; of each kind with a"
             " lambda, the best"
         )
-        tables.append(grid(title, texts(REGRETS, shown.to_dict("records"))))
+        tables.append(grid(title, texts(columns, shown.to_dict("records"))))
     return tables
 
 
@@ -275,46 +270,52 @@ def driver_table(title: str, drivers: Mapping[str, Mapping]) -> pd.DataFrame:
         drivers: figures of ``bench road --json`` by driver.
     """
     rows = []
-    for driver, one in drivers.items():
-        succeeded = binomtest(round(one["success"] * one["episodes"]), one["episodes"])
+    for driver, own in drivers.items():
+        episodes = own["episodes"]
+        succeeded = binomtest(round(own["success"] * episodes), episodes)
         low, high = succeeded.proportion_ci(CONFIDENCE, "wilson")
-        shares = (
-            " / ".join(
-                f"{100 * one['rungs'].get(rung, 0.0):.0f}" for rung in TRAFFIC_MODELS
-            )
-            if one["rungs"]
-            else None
-        )
-        percent = {name: 100 * one[name] or None for name in ("off_road", "late")}
+        shares = None
+        if own["rungs"]:
+            percents = [100 * own["rungs"].get(rung, 0.0) for rung in TRAFFIC_MODELS]
+            shares = " / ".join(f"{percent:.0f}" for percent in percents)
         row = {
-            **one,
-            **percent,
+            **own,
             "driver": driver,
-            "success": 100 * one["success"],
+            "success": 100 * own["success"],
+            "low": 100 * low,
+            "high": 100 * high,
             "shares": shares,
+            # Cells of 0 are empty.
+            "off_road": 100 * own["off_road"] or None,
+            "late": 100 * own["late"] or None,
         }
-        rows.append(row | {"low": 100 * low, "high": 100 * high})
-    return grid(title, texts(_with_shares(DRIVERS, TRAFFIC_MODELS), rows))
+        rows.append(row)
+    return grid(title, texts(_with_shares(DRIVER_COLUMNS, TRAFFIC_MODELS), rows))
 
 
 def speed_table(scenario: str, measured: Mapping[str, Mapping]) -> pd.DataFrame:
-    """Return a table of the figures of ``bench --json`` in a scenario, by controller."""
-    forms = dict(SPEED)
+    """Return a table of the figures of ``bench --json`` in a scenario."""
     title = f"{scenario}: medians, on one core"
-    for one in measured.values():
-        if "batch" in one:
-            forms |= {
-                f"batch {size}": f"{{batch {size}:,.0f}}" for size in one["batch"]
-            } | {"MiB": "{mib:,.0f}"}
+    columns = {
+        "controller": "{controller}",
+        "plan us": "{p50:.0f}",
+        "p99": "{p99:.0f}",
+        "decision us": "{decision_us:.0f}",
+        "step us": "{step_us:.0f}",
+        "steps /s": "{environment:,.0f}",
+    }
+    rows = []
+    for name, own in measured.items():
+        row = {**own, **own["plan_us"], "controller": name}
+        if "batch" in own:
             title = (
                 f"{scenario}: medians, on one core; steps per second of batches on"
-                f" {one['devices']}"
+                f" {own['devices']}"
             )
-    rows = []
-    for name, one in measured.items():
-        batches = {f"batch {size}": rate for size, rate in one.get("batch", {}).items()}
-        memory = max(one.get("memory_mib", {}).values(), default=None)
-        rows.append(
-            {**one, **one["plan_us"], **batches, "controller": name, "mib": memory}
-        )
-    return grid(title, texts(forms, rows))
+            for size, rate in own["batch"].items():
+                columns[f"batch {size}"] = f"{{batch {size}:,.0f}}"
+                row[f"batch {size}"] = rate
+            columns["MiB"] = "{mib:,.0f}"
+            row["mib"] = max(own["memory_mib"].values())
+        rows.append(row)
+    return grid(title, texts(columns, rows))

@@ -34,8 +34,9 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.runner import run as run_comparison
 from ms_highway.experiments.summary import read_results
-from ms_highway.visualization.figures import curve, frontier, rewards
+from ms_highway.visualization.figures import rewards
 from ms_highway.visualization.style import content, drawn, looks
+from ms_highway.visualization.tradeoff import curve, frontier
 
 COMPARE = "compare stay_back --controllers naive naive switching:0.4 --seeds 2 --out"
 FIGURES = "bars", "reward", "timeline", "decisions"

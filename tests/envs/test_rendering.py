@@ -15,7 +15,7 @@ from ms_highway.envs.colors import MODEL_COLORS, PALETTE
 from ms_highway.envs.graphics import PANEL_LAYOUT
 from ms_highway.vehicle import HumanVehicle, RobotVehicle, ScriptedVehicle
 from ms_highway.visualization.video import (
-    HEADING_HEIGHT,
+    HEADING,
     film_together,
     scaled,
     side_by_side,
@@ -85,8 +85,8 @@ def test_the_panel_gives_a_reason_only_if_the_model_is_chosen(controller, choose
 def test_a_video_of_two_controllers_shows_both_under_their_names(films):
     halves = np.split(side_by_side(films)[39], 2)
     for film, half in zip(films, halves, strict=True):
-        np.testing.assert_array_equal(half[HEADING_HEIGHT:], film.pictures[39])
-    naive, turn = (half[:HEADING_HEIGHT] for half in halves)
+        np.testing.assert_array_equal(half[HEADING.height :], film.pictures[39])
+    naive, turn = (half[: HEADING.height] for half in halves)
     for heading, other, model in ((naive, turn, "naive"), (turn, naive, "turn")):
         assert pixels(heading, MODEL_COLORS[model]) > pixels(other, MODEL_COLORS[model])
 
@@ -98,6 +98,6 @@ def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_
     )
     video = imageio.imread(tmp_path / "film.mp4", plugin="pyav")
     assert video.shape == (40, 408, 480, 3)
-    road = slice(HEADING_HEIGHT // 2, HEADING_HEIGHT // 2 + 100)
+    road = slice(HEADING.height // 2, HEADING.height // 2 + 100)
     expected = scaled(side_by_side(films), 480)[20][road]
     assert np.abs(video[20][road] - expected.astype(int)).mean() < 4
