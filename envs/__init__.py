@@ -1,5 +1,4 @@
-"""The environments: scenarios of a robot with one human or several, and one to record
-driving in.
+"""Register the environments: scenarios, and one to record driving in.
 
 ``import ms_highway`` registers these ids with Gymnasium: ``ms-highway/stay-back-v1``,
 ``merger-v1``, ``give-way-v1``, ``dense-merge-v1`` and ``crossing-crowd-v1``, in which
@@ -69,10 +68,10 @@ DEMONSTRATION_ID = "ms_highway:ms-highway/demonstration-v0"
 
 
 def __getattr__(name: str) -> type[InteractionEnv]:
-    """Return the class of a scenario's environments by its name, ``MergerV1Env`` for
-    ``merger-v1``.
+    """Return the class of a scenario's environments by its name.
 
-    Gymnasium's entry points and pickles find the classes so.
+    The name is ``MergerV1Env`` for ``merger-v1``. Gymnasium's entry points and pickles
+    find the classes so.
     """
     for environment in _PACKAGE_ENVIRONMENTS.values():
         if environment.__name__ == name:
@@ -81,8 +80,7 @@ def __getattr__(name: str) -> type[InteractionEnv]:
 
 
 def scenario_name(name: str) -> str:
-    """Return the name of the scenario with a name or an id: ``merger`` for
-    ``ms-highway/merger-v0``.
+    """Return the name of a scenario: ``merger`` for ``ms-highway/merger-v0``.
 
     Raises:
         ValueError: for an unknown scenario, and for an id without a version.
@@ -97,8 +95,9 @@ def scenario_name(name: str) -> str:
 
 
 def environment_id(scenario: str) -> str:
-    """Return the Gymnasium id of a scenario; the module prefix lets spawned workers
-    find it.
+    """Return the Gymnasium id of a scenario.
+
+    Its module prefix lets spawned workers find it.
 
     Raises:
         ValueError: for an unknown scenario.
@@ -107,11 +106,11 @@ def environment_id(scenario: str) -> str:
 
 
 def add_scenario(environment: type[InteractionEnv]) -> str:
-    """Add a scenario of one's own by its name, for Gymnasium and for comparisons and
-    videos of this process.
+    """Add a scenario of one's own by its name, for this process.
 
-    It replaces an added scenario of the same name. The specification of its
-    environments can be written as JSON if its class can be imported from a module.
+    It is then known to Gymnasium, comparisons and videos. It replaces an added scenario
+    of the same name. The specification of its environments can be written as JSON if
+    its class can be imported from a module.
 
     Args:
         environment: class of its environments, with a `Scenario` whose name is one word

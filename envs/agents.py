@@ -1,5 +1,6 @@
-"""Let agents and planners of one's own drive instead of a controller, so that both can
-be compared.
+"""Let agents and planners of one's own drive instead of a controller.
+
+So both can be compared.
 """
 
 from collections.abc import Callable
@@ -70,15 +71,17 @@ keep_apart("an agent", lambda: AGENTS)
 
 
 def is_agent(name: str) -> bool:
-    """Return whether a name is an added agent's, or that of a file that
-    stable-baselines3 saves.
+    """Return whether a name is an agent's.
+
+    That is a name of an added agent, or of a file that stable-baselines3 saves.
     """
     return name in AGENTS or name.endswith(".zip")
 
 
 def agent_config(name: str) -> Config:
-    """Return the configuration of environments that an agent drives in, see
-    `ms_highway.add_agent`.
+    """Return the configuration of environments that an agent drives in.
+
+    See `ms_highway.add_agent`.
     """
     config = AGENTS[name].config if name in AGENTS else {}
     space = getattr(_agent(name), "action_space", None)
@@ -109,9 +112,7 @@ def policy_of(name: str) -> Policy:
 
 
 def agent_file(name: str) -> str | None:
-    """Return the path of the file that holds an agent; None for an agent that was added
-    as an object.
-    """
+    """Return the path of the file that holds an agent; None without a file."""
     source = AGENTS[name].source if name in AGENTS else name
     return fspath(source) if isinstance(source, (str, PathLike)) else None
 
@@ -125,8 +126,9 @@ def _agent(name: str) -> Agent:
 
 
 def saved_policy(file: str) -> Predictor:
-    """Return the policy of an agent that stable-baselines3 has saved; opening the file
-    may run any code in it.
+    """Return the policy of an agent that stable-baselines3 has saved.
+
+    Opening the file may run any code in it.
 
     Raises:
         ModuleNotFoundError: without stable-baselines3, or another package that the
@@ -175,8 +177,9 @@ def _saved_policy(file: str, content: str) -> Predictor:
 
 
 def check_spaces(name: str, env: gym.Env) -> None:
-    """Check that an environment has the spaces that an agent was trained for, if the
-    agent names them.
+    """Check that an environment has the spaces that an agent was trained for.
+
+    Agents that name no spaces pass.
 
     Raises:
         ValueError: naming the space that differs.
@@ -195,12 +198,11 @@ def check_spaces(name: str, env: gym.Env) -> None:
 
 
 class AgentDrives(gym.Wrapper):
-    """An environment in which an agent drives as a controller does; the only action is
-    0.
+    """An environment in which an agent drives as a controller does.
 
-    ``info`` has the same keys as under a controller: ``model``, the agent's name or the
-    model that it chooses; ``timing``, whose decision time includes the agent's; and
-    ``gains``, which are empty.
+    The only action is 0. ``info`` has the same keys as under a controller: ``model``,
+    the agent's name or the model that it chooses; ``timing``, whose decision time
+    includes the agent's; and ``gains``, which are empty.
 
     Args:
         env: the environment.
@@ -251,8 +253,9 @@ class AgentDrives(gym.Wrapper):
     def _described(
         self, info: Config, model: str, status: str, seconds: float
     ) -> Config:
-        """Return ``info`` with all keys that it has under a controller; the agent's
-        seconds are added to the times.
+        """Return ``info`` with all keys that it has under a controller.
+
+        The agent's seconds are added to the times.
         """
         usual = plan_info(None, 1)
         timing = info.get("timing", usual["timing"])

@@ -1,6 +1,4 @@
-"""Define the environment of all scenarios: a road, humans, a robot, and what drives
-them.
-"""
+"""Define the environment of all scenarios: a road, humans and a robot."""
 
 from dataclasses import asdict, replace
 from typing import ClassVar
@@ -103,8 +101,9 @@ class InteractionEnv(GameEnv):
     def checked_config(
         cls, changes: Changes | None, config: Changes | None = None
     ) -> Config:
-        """See `GameEnv.checked_config`; also spell out ladder and controller, and check
-        that they fit each other.
+        """See `GameEnv.checked_config`; also check ladder and controller.
+
+        Both are spelt out, and have to fit each other.
         """
         if "beliefs" in as_dictionary("the configuration", changes or {}):
             raise ValueError(
@@ -197,8 +196,9 @@ class InteractionEnv(GameEnv):
 
     @property
     def keys_drive(self) -> bool:
-        """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`; they may also
-        drive a human.
+        """See `ms_highway.envs.configured.ConfiguredEnv.keys_drive`.
+
+        The keys may also drive a human.
         """
         return Keyboard.name in self.settings.drivers or super().keys_drive
 
@@ -208,16 +208,15 @@ class InteractionEnv(GameEnv):
         return 1 + self.settings.humans + len(self.scenario.cars[2:])
 
     def draw_episode(self, random: Random) -> tuple[State, HumansWeights]:
-        """Draw the start of every car in SI units, and the weights of every human's
-        reward.
-        """
+        """Draw the start of every car in SI units, and every human's weights."""
         return draw_episode(self.scenario, random, self.game.humans)
 
     # Drivers
 
     def draw_drivers(self, random: Random) -> Int[Array, "humans"]:
-        """Return the number of every human's driver, see
-        `ms_highway.loop.records.HUMAN_PLANS`.
+        """Return the number of every human's driver.
+
+        See `ms_highway.loop.records.HUMAN_PLANS`.
         """
         return draw_drivers(self.settings.drivers, self.settings.humans, random)
 
@@ -254,8 +253,9 @@ class InteractionEnv(GameEnv):
 
     @not_simulated
     def measure(self) -> None:
-        """Measure T(M) of the ladder with the cars where they are: the median, or the
-        99 % quantile for budgets.
+        """Measure T(M) of the ladder with the cars where they are.
+
+        T(M) is the median, or the 99 % quantile for budgets.
         """
         settings = self.settings
         quantile = 0.5 if settings.controller.budget is None else 0.99
@@ -301,8 +301,9 @@ class InteractionEnv(GameEnv):
 
     @property
     def distance_to_cones(self) -> float:
-        """From the robot's front to the first cone ahead in its lane, infinite without
-        one [m].
+        """Distance from the robot's front to the first cone ahead in its lane [m].
+
+        It is infinite without one.
         """
         return float(cone_distances(self.game.scene, self.car_states[:1])[0])
 
@@ -310,8 +311,9 @@ class InteractionEnv(GameEnv):
 
     @not_simulated
     def _simulate(self, action: object = None) -> None:
-        """Let all cars plan and move, evaluate the robot's new state, and let the agent
-        pay for the model it chose.
+        """Let all cars plan and move, and evaluate the robot's new state.
+
+        The agent pays for the models that it chose.
         """
         # Not at the reset: JAX must not start before the first step, so that processes
         # can fork.

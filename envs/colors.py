@@ -76,8 +76,9 @@ def _base_color(name: str) -> Color:
 
 
 def model_meaning(name: str) -> str:
-    """Return in a few words what a human model expects of the human; an empty text for
-    added models.
+    """Return in a few words what a human model expects of the human.
+
+    The text is empty for added models.
     """
     if not is_model(name):
         return ""

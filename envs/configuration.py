@@ -91,8 +91,9 @@ RANGES: dict[str, Annotation] = {
 
 
 def keys_of(kind: type) -> dict[str, Annotation]:
-    """Return the keys of one of highway-env's types of actions or observations; it does
-    not restrict their values.
+    """Return the keys of a type of actions or observations of highway-env.
+
+    Their values are not restricted.
     """
     return dict.fromkeys({*signature(kind).parameters} - {"env", "kwargs"}, Unchecked)
 
@@ -143,8 +144,9 @@ def refuse_unknown(place: str, given: Iterable[object], known: Iterable[str]) ->
 
 
 def checked_seed(seed: object) -> int | None:
-    """Return a seed as Gymnasium takes it, a Python number; None stays None, for a seed
-    that is drawn.
+    """Return a seed as Gymnasium takes it, a Python number.
+
+    None stays None, for a seed that is drawn.
 
     Raises:
         ValueError: for anything but a whole number that is not negative.
@@ -159,8 +161,9 @@ def checked_seed(seed: object) -> int | None:
 
 
 def read(kind: type[Kind], place: str, values: object, strict: bool = True) -> Kind:
-    """Return the values of a configuration as a struct; NumPy's numbers and arrays
-    count as Python's.
+    """Return the values of a configuration as a struct.
+
+    NumPy's numbers and arrays count as Python's.
 
     Args:
         kind: class of the struct; a ValueError of its ``__post_init__`` is passed on.
@@ -197,15 +200,17 @@ def as_dictionary(place: str, values: object) -> Config:
 
 
 def as_json(values: object) -> Any:
-    """Convert values to types that JSON has: NumPy's numbers and arrays, mappings and
-    paths to Python's own types.
+    """Convert values to types that JSON has.
+
+    NumPy's numbers and arrays, mappings and paths become Python's own types.
     """
     return to_builtins(values, enc_hook=_builtin)
 
 
 def _builtin(value: object) -> object:
-    """Convert a value of NumPy, a mapping or a path; turn any other object into a text,
-    which a check refuses.
+    """Convert a value of NumPy, a mapping or a path.
+
+    Any other object becomes a text, which a check refuses.
     """
     if isinstance(value, (np.ndarray, np.generic)):
         return value.tolist()
@@ -256,8 +261,9 @@ def check_type(
 
 
 def read_own(kind: type[Kind], config: Changes) -> Kind:
-    """Read the keys of a struct from a whole configuration, see `read`; the other keys
-    are highway-env's.
+    """Read the keys of a struct from a whole configuration, see `read`.
+
+    The other keys are highway-env's.
     """
     names = [field.encode_name for field in fields(kind)]
     return read(kind, "config", {name: config[name] for name in names})

@@ -1,6 +1,4 @@
-"""Define the base of all environments: highway-env's environment with a checked
-configuration and checked actions.
-"""
+"""Define the base of all environments, with checked configuration and actions."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -149,8 +147,9 @@ def _set_frequencies(config: Config, changes: Config) -> None:
 
 
 class ConfiguredEnv(AbstractEnv):
-    """A highway-env environment that checks its whole configuration before it changes
-    anything.
+    """A highway-env environment that checks its whole configuration.
+
+    It does so before it changes anything.
 
     Attributes:
         settings: the keys that highway-env does not have, read into the class's
@@ -192,9 +191,7 @@ class ConfiguredEnv(AbstractEnv):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """Gymnasium's specification, whose arguments are converted to types that JSON
-        has.
-        """
+        """Gymnasium's specification, with arguments of types that JSON has."""
         return self._spec
 
     @spec.setter
@@ -207,8 +204,9 @@ class ConfiguredEnv(AbstractEnv):
     def checked_config(
         cls, changes: Changes | None, config: Changes | None = None
     ) -> Config:
-        """Return the whole configuration after changes of a configuration, by default
-        of the default one, see `merged`.
+        """Return the whole configuration after changes, see `merged`.
+
+        They are changes of a configuration, by default of the default one.
 
         Raises:
             ValueError: for anything unknown or impossible.
@@ -230,11 +228,10 @@ class ConfiguredEnv(AbstractEnv):
         return whole
 
     def configure(self, config: Config | None) -> None:
-        """Make all changes of the configuration, or none; those made during an episode
-        act from the next reset on.
+        """Make all changes of the configuration, or none.
 
-        When no episode runs, the spaces change at once, and the next step needs a reset
-        before it.
+        Changes during an episode act from the next reset on. When no episode runs, the
+        spaces change at once, and the next step needs a reset before it.
 
         Raises:
             ValueError: for an unknown key or an impossible value.
@@ -284,8 +281,9 @@ class ConfiguredEnv(AbstractEnv):
         return bool(self.config["manual_control"]) and self.render_mode == "human"
 
     def define_spaces(self) -> None:
-        """Set types and spaces of observations and actions; an unchanged action space
-        keeps its random generator.
+        """Set types and spaces of observations and actions.
+
+        An unchanged action space keeps its random generator.
         """
         before = self.action_space
         self.action_type = self.type_of(action_factory, self.config["action"])
@@ -302,8 +300,9 @@ class ConfiguredEnv(AbstractEnv):
     def type_of(
         self, factory: Callable[[AbstractEnv, Config], SpaceType], config: Config
     ) -> SpaceType:
-        """Make a type of actions or observations: one of the package, or else by a
-        factory of highway-env.
+        """Make a type of actions or observations.
+
+        It is one of the package, or else made by a factory of highway-env.
         """
         # highway-env needs a tuple; JSON has only lists.
         if "observation_shape" in config:
@@ -346,8 +345,9 @@ class ConfiguredEnv(AbstractEnv):
         return start
 
     def get_available_actions(self) -> Sequence[object]:
-        """Return the actions available now: all discrete actions, or highway-env's
-        selection of meta-actions.
+        """Return the actions available now.
+
+        These are all discrete actions, or highway-env's selection of meta-actions.
         """
         space = self.action_space
         if isinstance(space, spaces.MultiDiscrete):

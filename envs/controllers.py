@@ -1,9 +1,9 @@
-"""Read controllers from their configuration: rules, orders of models, functions and
-agents.
+"""Read controllers from their configuration.
 
-The configuration of a rule is the rule: the fields of its chooser and its estimator are
-the keys of ``config["controller"]``, see `ms_highway.choice.rule.Part`.
-`ms_highway.envs.registry` finds the controllers by type and short name.
+Controllers are rules, orders of models, functions and agents. The configuration of a
+rule is the rule: the fields of its chooser and its estimator are the keys of
+``config["controller"]``, see `ms_highway.choice.rule.Part`. `ms_highway.envs.registry`
+finds the controllers by type and short name.
 """
 
 import re
@@ -91,8 +91,9 @@ class ModelOrder(Part):
         raise NotImplementedError
 
     def table(self, start: Start) -> np.ndarray:
-        """Return the names of the humans' models in every step, [steps, humans] or, the
-        same for all, [steps, 1].
+        """Return the names of the humans' models in every step.
+
+        They are an array [steps, humans] or, the same for all, [steps, 1].
         """
         return np.array(self.names())[:, None]
 
@@ -128,8 +129,9 @@ class Schedule(ModelOrder):
 
 @dataclass(frozen=True)
 class RandomModels(ModelOrder):
-    """A model for every human and step, drawn when the episode starts with given
-    shares.
+    """A model for every human and step, drawn with given shares.
+
+    They are drawn when the episode starts.
     """
 
     shares: Shares
@@ -155,8 +157,9 @@ class RandomModels(ModelOrder):
 
 
 def schedule_of(text: str) -> Config:
-    """Read the part of a short name behind its type; ``tom=6,naive`` is tom for six
-    steps and naive for one.
+    """Read the part of a short name behind ``schedule:``.
+
+    ``tom=6,naive`` is tom for six steps and naive for one.
     """
     models: list[str] = []
     for part in text.split(","):
@@ -275,8 +278,9 @@ class ControllerSettings:
         return self.chooser.seconds
 
     def without_price(self) -> Self:
-        """Return the settings at a lambda of 0, which are the same for controllers that
-        differ only in lambda.
+        """Return the settings at a lambda of 0.
+
+        They are the same for controllers that differ only in lambda.
         """
         if not isinstance(self.chooser, Priced):
             return self
@@ -289,9 +293,7 @@ class ControllerSettings:
         return self.estimator.values_for(start)
 
     def files(self) -> tuple[str, ...]:
-        """Return the paths of the files that the controller is read from, beside its
-        settings.
-        """
+        """Return the paths of the files that the controller is read from."""
         file = None
         if isinstance(self.chooser, DrivenByAgent):
             file = agent_file(self.chooser.name)
@@ -363,8 +365,9 @@ class ControllerSettings:
         )
 
     def config(self) -> Config:
-        """Return the configuration that it was read from, without defaults, as JSON has
-        it.
+        """Return the configuration that it was read from, as JSON has it.
+
+        Defaults are left out.
         """
         given: Config = {"type": self.type}
         if self.belief:
@@ -402,8 +405,9 @@ class Pair(NamedTuple):
         return class_of(self.chooser)
 
     def keys(self) -> dict[str, Field]:
-        """Return the fields of both parts that are keys of the configuration, the
-        chooser's first.
+        """Return the keys of both parts, the chooser's first.
+
+        They are the fields that the configuration sets, see `keys_of`.
         """
         keys = keys_of(self.chooser_class)
         if self.estimator is None:
@@ -441,8 +445,9 @@ def class_of(part: PartMaker) -> type[Part]:
 
 
 def keys_of(part: type[Part]) -> dict[str, Field]:
-    """Return the fields of a part that are keys of the configuration; a field ``price``
-    is the key ``lambda``.
+    """Return the fields of a part that are keys of the configuration.
+
+    A field ``price`` is the key ``lambda``.
     """
     own: tuple[Field, ...] = fields(part) if is_dataclass(part) else ()
     keys: dict[str, Field] = {}

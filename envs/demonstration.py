@@ -93,8 +93,9 @@ ROUTE_DRAW = RouteDraw()
 
 
 def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
-    """Build the game of a driver with these weights by name, on three lanes like those
-    of the paper's scenes.
+    """Build the game of a driver with these weights by name.
+
+    Its three lanes are like those of the paper's scenes.
     """
     lanes = np.arange(3) * LANE_WIDTH
     scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
@@ -109,11 +110,10 @@ class DemonstrationSettings(Struct, frozen=True):
 
 
 class DemonstrationEnv(GameEnv):
-    """A car to drive on a road of three lanes, among cars whose routes are fixed when
-    the episode starts.
+    """A car to drive on a road of three lanes, among cars that do not react.
 
-    The configuration has highway-env's keys and these; changes act from the next reset
-    on:
+    Their routes are fixed when the episode starts. The configuration has highway-env's
+    keys and these; changes act from the next reset on:
 
     * ``density``: of the traffic, ``sparse``, ``medium`` or ``dense``, see
       `ms_highway.envs.demonstration.DENSITIES`.
@@ -210,16 +210,18 @@ class DemonstrationEnv(GameEnv):
 
     @property
     def car_states(self) -> State:
-        """``(x, y, heading, speed)`` of the driver and of the others in SI units;
-        absent ones stand far behind.
+        """``(x, y, heading, speed)`` of the driver and of the others in SI units.
+
+        Absent ones stand far behind.
         """
         states = np.tile(self.absent_state, (self.cars, 1))
         states[: len(self.road.vehicles)] = states_of(self.road.vehicles)
         return states
 
     def action_for(self, control: Control) -> np.ndarray:
-        """Return the action that executes a control ``(omega, acceleration)``, clipped
-        to what actions reach.
+        """Return the action that executes a control ``(omega, acceleration)``.
+
+        It is clipped to what actions reach.
         """
         omega, acceleration = np.asarray(control, dtype=float).tolist()
         steering = atan(omega * BicycleVehicle.LENGTH)
@@ -238,11 +240,11 @@ def draw_routes(
     lanes: Vector,
     driver: np.ndarray,
 ) -> np.ndarray:
-    """Draw states ``(x, y, heading, speed)``, [cars, times, 4], of cars that keep clear
-    of each other.
+    """Draw the states of cars that keep clear of each other, [cars, times, 4].
 
-    At the start, they also keep clear of the driver. Each car follows its lane at its
-    own speed; some change to the adjacent lane along a quintic.
+    A state is ``(x, y, heading, speed)``. At the start, they also keep clear of the
+    driver. Each car follows its lane at its own speed; some change to the adjacent lane
+    along a quintic.
 
     Args:
         random: source of the draws.

@@ -52,11 +52,11 @@ class Cone(Obstacle):
 
 
 class GameEnv(ConfiguredEnv):
-    """An environment of a fixed duration, whose reward is car 0's in a game after the
-    step, feature by feature.
+    """An environment of a fixed duration in which car 0 plays a game.
 
-    Cars are not solid: a collision only costs reward, as in the paper, and
-    ``info["collision_effect"]`` says so.
+    The reward is car 0's after the step, feature by feature. Cars are not solid: a
+    collision only costs reward, as in the paper, and ``info["collision_effect"]`` says
+    so.
 
     Attributes:
         game: defines car 0's reward.
@@ -139,8 +139,9 @@ class GameEnv(ConfiguredEnv):
         return dict(info)
 
     def _given_action(self, action: object) -> object:
-        """Return an action with the type of those in the action space; NaN or -1 where
-        none is given.
+        """Return an action with the type of those in the action space.
+
+        It is NaN or -1 where none is given.
         """
         # highway-env draws one for a reset.
         given = action if self.steps else None

@@ -1,5 +1,6 @@
-"""Draw the road from above with plans and predictions, and a panel that shows what the
-robot thinks.
+"""Draw the road from above, and a panel that shows what the robot thinks.
+
+On the road there are plans and predictions.
 """
 
 from collections.abc import Sequence
@@ -45,11 +46,10 @@ PANEL_LAYOUT = PanelLayout()
 
 
 class InteractionViewer(Viewer):
-    """Draws an `ms_highway.envs.base.InteractionEnv` on a surface of ``screen_width`` x
-    ``screen_height``.
+    """Draws an `ms_highway.envs.base.InteractionEnv`.
 
-    Predicted paths have the colours of their models; among several humans, the humans
-    have them, too.
+    The surface is ``screen_width`` x ``screen_height``. Predicted paths have the
+    colours of their models; among several humans, the humans have them, too.
 
     Attributes:
         panel_height: of the panel below the road [px].
@@ -60,8 +60,9 @@ class InteractionViewer(Viewer):
     longest = 0.0
 
     def display(self) -> None:
-        """Draw everything; the view follows the robot along the road, but not to the
-        side.
+        """Draw everything.
+
+        The view follows the robot along the road, but not to the side.
         """
         env = self.env
         step = env.robot.last_step
@@ -119,8 +120,9 @@ class InteractionViewer(Viewer):
         )
 
     def _draw_plan(self, step: ControlStep) -> None:
-        """Draw the predicted paths as dots in the colours of their models, and the
-        robot's plan as a line.
+        """Draw the predicted paths as dots, and the robot's plan as a line.
+
+        They have the colours of their models.
         """
         surface = self.sim_surface
         robot, *others = self.env.robot.last_state
@@ -219,8 +221,10 @@ class InteractionViewer(Viewer):
         return ", ".join(taken)
 
     def _remarks(self, step: ControlStep) -> str:
-        """Return a line with the reason for a single human's model, the distance to
-        cones, and the plan's status.
+        """Return a line of remarks.
+
+        These are the reason for a single human's model, the distance to cones, and the
+        plan's status.
         """
         env = self.env
         remarks = []
@@ -235,8 +239,9 @@ class InteractionViewer(Viewer):
         return "    ".join(remarks)
 
     def _draw_models(self, step: ControlStep, left: int, top: int) -> None:
-        """Write the model of a single human and its meaning; for several humans, write
-        how many each model predicts.
+        """Write which model predicts the human, with its meaning.
+
+        For several humans, write how many each model predicts.
         """
         layout = PANEL_LAYOUT
         if len(step.models) == 1:
@@ -254,8 +259,9 @@ class InteractionViewer(Viewer):
             self._write(meaning, layout.small, topleft=(left, top + 8))
 
     def _draw_beliefs(self, belief: ModelProbabilities, top: int) -> None:
-        """Draw a bar for every human, behind its number: the probabilities of the
-        models, side by side.
+        """Draw a bar for every human: the probabilities of the models.
+
+        They stand side by side, behind the number of the human.
         """
         layout = PANEL_LAYOUT
         named_width = 60  # px, from which a part of a bar shows its name
@@ -303,8 +309,9 @@ class InteractionViewer(Viewer):
         return bars
 
     def _draw_bars(self, box: pygame.Rect, steps: Sequence[ControlStep]) -> None:
-        """Draw a bar per step in the colours of the humans' models; with one human, its
-        height is the planning time.
+        """Draw a bar per step in the colours of the humans' models.
+
+        With one human, its height is the planning time.
         """
         humans = len(steps[0].models)
         values = [float(humans)] * len(steps)
@@ -346,16 +353,18 @@ class InteractionViewer(Viewer):
         ground: Color | None = None,
         **place: tuple[float, float],
     ) -> pygame.Rect:
-        """Write a text whose rectangle has a corner, side or centre at this place;
-        return the rectangle.
+        """Write a text, and return its rectangle.
+
+        The rectangle has a corner, side or centre at this place.
         """
         label = words(text, size, color, ground)
         return self.sim_surface.blit(label, label.get_rect(**place))
 
 
 def _reason(step: ControlStep) -> str:
-    """Return the reason for this model: the estimated gains over the first one, before
-    the price of planning.
+    """Return the reason for this model: the estimated gains over the first one.
+
+    These are gains before the price of planning.
     """
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"

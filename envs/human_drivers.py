@@ -49,8 +49,10 @@ def draw_drivers(
 
 
 def vehicle_class(name: str | None) -> type[Vehicle]:
-    """Return the class of the humans' vehicles: the driver of this name, if it is a
-    class of highway-env vehicles, which drive by themselves.
+    """Return the class of the humans' vehicles.
+
+    It is the driver of this name, if that is a class of highway-env vehicles, which
+    drive by themselves.
     """
     driver = HUMAN_DRIVERS.get(name or "")
     if isinstance(driver, type) and issubclass(driver, Vehicle):

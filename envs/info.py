@@ -38,8 +38,9 @@ class Timing:
     def __array__(
         self, dtype: DTypeLike | None = None, copy: bool | None = None
     ) -> np.ndarray:
-        """Return the three times as an array, as recorders such as Minari's store them
-        [s].
+        """Return the three times as an array [s].
+
+        Recorders such as Minari's store them so.
         """
         return np.array(
             [self.planning_seconds, self.decision_seconds, self.compile_seconds], dtype
@@ -192,8 +193,9 @@ def plan_info(step: ControlStep | None, humans: int) -> PlanInfo:
 
 
 def gains_info(step: ControlStep | None, models: Sequence[str]) -> dict[str, float]:
-    """Return the highest gain of each of these models over all humans, see
-    `InteractionInfo`.
+    """Return the highest gain of each of these models over all humans.
+
+    See `InteractionInfo`.
     """
     gains = dict.fromkeys(models, NOT_ESTIMATED)
     return gains if step is None else gains | step.highest_gains()

@@ -12,8 +12,9 @@ from ms_highway.runtime.arrays import Control, State
 
 
 def check_display() -> None:
-    """Check that a window would be visible, unless the variable SDL_VIDEODRIVER names a
-    video driver.
+    """Check that a window would be visible.
+
+    Nothing is checked if the variable SDL_VIDEODRIVER names a video driver.
 
     Raises:
         OSError: without a display.
@@ -49,8 +50,9 @@ def check_window(render_mode: str | None = None) -> None:
 
 
 class Keyboard:
-    """Drives by the keyboard. It is no function of the state, as pressed keys are not
-    in it.
+    """Drives by the keyboard.
+
+    It is no function of the state, as pressed keys are not in it.
 
     Attributes:
         name: of this human driver in configurations.
@@ -69,8 +71,9 @@ class Keyboard:
         """Nothing is remembered or drawn."""
 
     def __call__(self, game: Game, state: State) -> Control:
-        """Return the control of car 0 for the pressed keys: up and down for speed, left
-        and right for the heading.
+        """Return the control of car 0 for the pressed keys.
+
+        Up and down are for speed, left and right for the heading.
 
         Raises:
             OSError: if there is no window.

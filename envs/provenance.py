@@ -12,8 +12,7 @@ from ms_highway.game.scenario import Scenario
 
 
 def warn_of_other_values(settings: Settings, scenario: Scenario, start: Start) -> None:
-    """Warn of learned values that come from another scene or other humans than they
-    serve here.
+    """Warn of learned values that come from another scene or other humans.
 
     A scene is a scenario with its semantics, solver and horizon. Humans are others if
     they drive for another reward, or if ``human_driver`` drives them. How humans yield

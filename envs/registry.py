@@ -1,6 +1,4 @@
-"""Define the controllers that choose models online; find all by type and short name;
-add rules of one's own.
-"""
+"""Find controllers by type and short name, and add rules of one's own."""
 
 from collections.abc import Mapping
 from functools import partial
@@ -66,12 +64,11 @@ keep_apart("a rule", lambda: CONTROLLERS)
 def add_rule(
     part: type[Part], estimator: type[Estimator[GameEvidence]] | None = None
 ) -> None:
-    """Add a decision rule of one's own by its name, for configurations and commands of
-    this process.
+    """Add a decision rule of one's own by its name, for this process.
 
-    Its name is the ``tag`` of its class, as in ``class Near(ms_highway.Chooser,
-    tag="near")``. The fields of the class are the keys of its configuration, see
-    `ms_highway.choice.rule.Part`.
+    Configurations and commands then know it. Its name is the ``tag`` of its class, as
+    in ``class Near(ms_highway.Chooser, tag="near")``. The fields of the class are the
+    keys of its configuration, see `ms_highway.choice.rule.Part`.
 
     * A class of a chooser chooses the models, and has the short name ``near:6`` with
       its first field, a number or a text, and ``near`` if all fields have defaults. It
@@ -168,11 +165,11 @@ def _named(part: object) -> str:
 def add_agent(
     name: str, agent: Agent | str | PathLike[str], config: Changes | None = None
 ) -> None:
-    """Add an agent or a planner by a name, for ``compare``, ``video`` and ``bench
-    road`` of this process.
+    """Add an agent or a planner by a name, for this process.
 
-    A file that stable-baselines3 has saved need not be added: every command takes its
-    path as a name.
+    ``compare``, ``video`` and ``bench road`` then know it. A file that
+    stable-baselines3 has saved need not be added: every command takes its path as a
+    name.
 
     Args:
         name: one word in lower case.
@@ -206,15 +203,17 @@ def add_agent(
 
 
 def add_driver(name: str, driver: DriverFunction | RememberingDriver | type) -> None:
-    """Add a driver of the real humans by a name; `ms_highway.register` adds a model by
-    which the robot predicts them.
+    """Add a driver of the real humans by a name.
 
-    It drives every human of an environment with ``config={"human_driver": name}``, in
-    commands with ``--set human_driver=NAME``. It replaces an added driver of the same
-    name. A function also drives the robot, as the controller ``name``: it then takes
-    the game of the robot, and a state in which the humans follow the robot. The same
-    name lets it drive on roads of highway-env (`ms_highway.drive`, ``ms-highway bench
-    road``), straightened as `ms_highway.road.added.AddedRoadDriver` says.
+    `ms_highway.register` adds a model by which the robot predicts them.
+
+    The driver drives every human of an environment with ``config={"human_driver":
+    name}``, in commands with ``--set human_driver=NAME``. It replaces an added driver
+    of the same name. A function also drives the robot, as the controller ``name``: it
+    then takes the game of the robot, and a state in which the humans follow the robot.
+    The same name lets it drive on roads of highway-env (`ms_highway.drive`,
+    ``ms-highway bench road``), straightened as `ms_highway.road.added.AddedRoadDriver`
+    says.
 
     Args:
         name: one word in lower case.
@@ -277,8 +276,9 @@ def priced_types() -> list[str]:
 
 
 def fixed_order_types() -> list[str]:
-    """Return the types of the controllers whose models are the same in every episode,
-    step by step.
+    """Return the types of the controllers whose models are known beforehand.
+
+    They are the same in every episode, step by step.
     """
     return [
         name
@@ -288,8 +288,9 @@ def fixed_order_types() -> list[str]:
 
 
 def robot_config(name: str) -> Config:
-    """Return the configuration of an environment that a controller or an agent drives;
-    see `controller_config`.
+    """Return the configuration of an environment that a controller drives.
+
+    An agent drives, too; see `controller_config`.
     """
     config = controller_config(name)
     return agent_config(name) if config["type"] == "agent" else {"controller": config}
@@ -384,8 +385,9 @@ def controller_config(text: str) -> Config:
 
 
 def _short_config(kind: str, text: str) -> Config:
-    """Return the configuration that the part of a short name behind its type stands
-    for: the value of the first key, and ``values``, if nothing else is said.
+    """Return the configuration that the text behind a type stands for.
+
+    It is the value of the first key, then of ``values``, if nothing else is said.
     """
     if kind == "agent":
         return {"name": text}  # the path of a file may have colons

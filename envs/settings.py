@@ -61,8 +61,7 @@ def _whole_number(most: int) -> Meta:
 
 
 class Settings(Struct, frozen=True):
-    """The keys of an `ms_highway.envs.base.InteractionEnv` that highway-env does not
-    have.
+    """The keys of an `InteractionEnv` that highway-env does not have.
 
     The text behind each key is its row in ``notebooks/REFERENCE.md``. A default that is
     not named there is the scenario's.
@@ -265,8 +264,9 @@ class Settings(Struct, frozen=True):
             raise ValueError(f"config['duration'] is {self.duration!r}; {why}")
 
     def _check_humans(self) -> None:
-        """Refuse unknown drivers of humans, unknown weights, and yielding that somebody
-        else decides.
+        """Refuse unknown drivers of humans, and unknown weights.
+
+        Also refuse yielding where another driver decides it.
 
         Raises:
             ValueError: for such drivers, weights or yielding.
@@ -303,8 +303,9 @@ class Settings(Struct, frozen=True):
             raise ValueError(f"config['costs'] is {self.costs!r}, {why}")
 
     def check(self, scenario: Scenario) -> None:
-        """Check the number of humans against the scenario; warn of gradient steps that
-        overshoot.
+        """Check the number of humans against the scenario.
+
+        Also warn of gradient steps that overshoot.
 
         Raises:
             ValueError: for an impossible number of humans.
@@ -346,8 +347,9 @@ class Settings(Struct, frozen=True):
 
     @property
     def drivers(self) -> tuple[str, ...]:
-        """Names of the human drivers in use, keys of `HUMAN_DRIVERS`; none if all
-        humans plan for their reward.
+        """Names of the human drivers in use, keys of `HUMAN_DRIVERS`.
+
+        There are none if all humans plan for their reward.
         """
         if self.human_driver is None:
             return YIELDING_DRIVERS[self.yielding]
@@ -360,17 +362,18 @@ class Settings(Struct, frozen=True):
 
     @property
     def counted(self) -> Costs:
-        """T(M) of the models of ladder and order, as far as it is known; see
-        `costs_of`.
+        """T(M) of the models of ladder and order, as far as it is known.
+
+        See `costs_of`.
         """
         order = map(human_model, self.controller.names())
         return self.costs_of((*self.models, *order))
 
     def costs_of(self, models: Iterable[HumanModel]) -> Costs:
-        """Return T(M) of models, the ladder's first, and of those whose seconds are
-        given.
+        """Return T(M) of models, the ladder's first.
 
-        Models are left out where T is unknown: all of them if it is to be measured.
+        Models whose seconds are given are added. Models are left out where T is
+        unknown: all of them if it is to be measured.
         """
         base: Mapping[str, float] = {}
         if isinstance(self.costs, dict):
@@ -408,15 +411,17 @@ class Settings(Struct, frozen=True):
 
     @property
     def measures(self) -> bool:
-        """Whether rules choose by measured planning times, so that a seed may give
-        different episodes.
+        """Whether rules choose by measured planning times.
+
+        A seed may then give different episodes.
         """
         keeps_budget = self.controller.budget is not None
         return self.costs == "measured" or (self.costs == "shipped" and keeps_budget)
 
     def game(self, scenario: Scenario) -> Game:
-        """Build the game of a scenario, in which every human has the reward that the
-        drawn ones vary around.
+        """Build the game of a scenario.
+
+        Every human has the reward that the drawn ones vary around.
         """
         limit = self.control_limit
         if limit is None and self.semantics != "released":

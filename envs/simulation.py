@@ -1,6 +1,4 @@
-"""Simulate environments in JAX: build the loop of their episodes, draw episodes, and
-step by pure functions.
-"""
+"""Simulate environments in JAX: draw episodes, and step by pure functions."""
 
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -46,8 +44,9 @@ from ms_highway.runtime.process import refuse_after_fork
 
 
 def refuse_own_steps(kind: type[InteractionEnv]) -> None:
-    """Refuse a class that overrides what a simulation does not call, see
-    `ms_highway.envs.configured.not_simulated`.
+    """Refuse a class that overrides what a simulation does not call.
+
+    See `ms_highway.envs.configured.not_simulated`.
 
     Raises:
         ValueError: naming what the class overrides.
@@ -71,8 +70,9 @@ def refuse_own_steps(kind: type[InteractionEnv]) -> None:
 def shared_loop(
     environment: InteractionEnv, controllers: Collection[ControllerSettings]
 ) -> Loop:
-    """Return the loop that all episodes of an environment share; a fixed order takes
-    the place of the rule.
+    """Return the loop that all episodes of an environment share.
+
+    A fixed order takes the place of the rule.
 
     Args:
         environment: what is simulated.
@@ -121,8 +121,9 @@ def draw_start(
     settings: ControllerSettings,
     random: Random,
 ) -> Episodes:
-    """Draw an episode as the environment does at a reset; its arrays have no axis of
-    episodes.
+    """Draw an episode as the environment does at a reset.
+
+    Its arrays have no axis of episodes.
 
     Args:
         environment: what is simulated.
@@ -160,8 +161,9 @@ def stack_episodes(drawn: Sequence[Episodes]) -> Episodes:
 
 
 class EnvState(NamedTuple):
-    """The state of environments, along a first axis of every array; its length is 1 in
-    a `FunctionalEnv`.
+    """The state of environments, along a first axis of every array.
+
+    The length of that axis is 1 in a `FunctionalEnv`.
 
     Attributes:
         now: what every episode carries from step to step.
@@ -181,8 +183,7 @@ FunctionalStep: TypeAlias = tuple[
 
 
 class FunctionalEnv:
-    """One environment as pure functions of JAX, which can be jitted, vmapped and
-    scanned.
+    """One environment as pure functions, to be jitted, vmapped and scanned.
 
     To step a thousand environments, `ms_highway.envs.vector.InteractionVectorEnv` is
     faster: it computes a human model only for the environments that use it.
@@ -267,8 +268,9 @@ class FunctionalEnv:
         return draw_start(self.environment, self.loop, controller, random)
 
     def reset(self, key: jax.Array) -> tuple[EnvState, jax.Array]:
-        """Start an episode that is drawn by a key of `jax.random`; return its state and
-        the observation.
+        """Start an episode that is drawn by a key; return state and observation.
+
+        The key is one of `jax.random`.
 
         Raises:
             ValueError: for what is no key.
@@ -293,12 +295,12 @@ class FunctionalEnv:
             return state, self.observe(episodes.starts, state.step)[0]
 
     def step(self, state: EnvState, action: ArrayLike) -> FunctionalStep:
-        """Return state, observation, reward, terminated, truncated and info after an
-        action.
+        """Take an action, and return the new state with what the agent sees.
 
-        No episode is reset automatically. Where JAX traces a step, the numbers of the
-        action are not checked: a model beyond the ladder then counts as the nearest
-        rung. There, the reward is NaN if a rule of the user's chose what is no rung.
+        That is state, observation, reward, terminated, truncated and info. No episode
+        is reset automatically. Where JAX traces a step, the numbers of the action are
+        not checked: a model beyond the ladder then counts as the nearest rung. There,
+        the reward is NaN if a rule of the user's chose what is no rung.
 
         Raises:
             ValueError: for an action of another shape or type than the action space's,
@@ -356,8 +358,7 @@ class FunctionalEnv:
         return state, observation, reward, terminated, truncated, info
 
     def step_inputs(self, state: EnvState, actions: Array) -> StepInputs:
-        """Return the models of the humans, or the robot's controls, for a step of n
-        environments.
+        """Return the models of the humans, or the robot's controls, for a step.
 
         Args:
             state: of the environments, with a first axis of length n.
@@ -378,8 +379,9 @@ class FunctionalEnv:
     def outcome(
         self, records: Records, steps: Int[Array, "envs"]
     ) -> tuple[Array, Array, Array, Array]:
-        """Return observations, rewards, terminated and truncated of n environments that
-        have done these steps [n].
+        """Return observations, rewards, terminated and truncated of environments.
+
+        They have done these steps.
         """
         reward = records.reward
         if self._price:
@@ -392,7 +394,5 @@ class FunctionalEnv:
     def observe(
         self, states: Float[Array, "envs cars 4"], steps: Int[Array, "envs"]
     ) -> Float[Array, "envs cars columns"]:
-        """Return the observations of states of environments that have done these
-        steps.
-        """
+        """Return the observations of environments that have done these steps."""
         return self.environment.observation_type.of(states, 1 - steps / self.steps)

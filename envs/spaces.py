@@ -1,5 +1,6 @@
-"""Define what an agent observes, all cars in the order of their roles, and which
-actions it has.
+"""Define what an agent observes, and which actions it has.
+
+Observations have all cars in the order of their roles.
 """
 
 from collections.abc import Sequence
@@ -51,14 +52,16 @@ class CarStates(ObservationType):
         self.high = np.tile(np.float32(high), (env.cars, 1))
 
     def ends(self, reached: Vector) -> tuple[Vector, Vector]:
-        """Return the lowest and the highest value of each column, given the scaled
-        values that states reach.
+        """Return the lowest and the highest value of each column.
+
+        They follow from the scaled values that states reach.
         """
         return -reached, reached
 
     def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
-        """Return the columns [..., cars] of states [..., cars, 4], given the share of
-        the episode's time left.
+        """Return the columns [..., cars] of states [..., cars, 4].
+
+        ``time_left`` is the share of the episode's time that is left.
         """
         xp = states.__array_namespace__()
         x, y, heading, speed = xp.moveaxis(states, -1, 0)
@@ -86,8 +89,9 @@ class CarStates(ObservationType):
         return np.asarray(self.of(self.env.car_states, np.array(time_left)))
 
     def of(self, states: States, time_left: Numbers) -> Numbers:
-        """Return the observations of states [..., cars, 4], in NumPy or JAX, clipped to
-        the bounds of the space.
+        """Return the observations of states [..., cars, 4], in NumPy or JAX.
+
+        They are clipped to the bounds of the space.
         """
         xp = states.__array_namespace__()
         rows = xp.stack(self.columns(states, time_left), axis=-1)
@@ -126,8 +130,9 @@ class SceneStates(CarStates):
 
 
 def cone_distances(scene: Scene, states: States) -> Float[Array, "*batch cars"]:
-    """Return the distance from every car's front to the first cone ahead in its lane,
-    infinite without one [m].
+    """Return every car's distance to the first cone ahead in its lane [m].
+
+    It counts from the car's front, and is infinite without a cone.
     """
     xp = states.__array_namespace__()
     cones = np.asarray(scene.obstacles, dtype=float)
@@ -180,8 +185,9 @@ class TupleObservation(observations.TupleObservation):
 
 
 def finite(space: spaces.Space) -> spaces.Space:
-    """Replace infinite bounds of a space, which some of highway-env's observations
-    have, by the limits of its dtype.
+    """Replace infinite bounds of a space by the limits of its dtype.
+
+    Some of highway-env's observations have such bounds.
 
     Raises:
         ValueError: for the space of a ``TimeToCollision`` without shape, which a car
@@ -205,10 +211,10 @@ def finite(space: spaces.Space) -> spaces.Space:
 
 
 def is_possible(space: spaces.Space, action: object) -> bool:
-    """Return whether an environment can take an action: one of its space, or of finite
-    numbers beyond a box's ends.
+    """Return whether an environment can take an action.
 
-    highway-env clips these to the ends.
+    It is one of its space, or of finite numbers beyond a box's ends. highway-env clips
+    these to the ends.
     """
     if not isinstance(space, spaces.Box):
         return bool(space.contains(action))
@@ -224,11 +230,10 @@ def is_possible(space: spaces.Space, action: object) -> bool:
 def limit_speed(
     kind: actions.ContinuousAction, speed_range: Sequence[float] | None
 ) -> None:
-    """Let a type of actions keep its car within a range of speeds [m/s]; None sets no
-    limits.
+    """Let a type of actions keep its car within a range of speeds [m/s].
 
-    This changes the object instead of its class, as highway-env's keyboard drives no
-    subclass.
+    None sets no limits. This changes the object instead of its class, as highway-env's
+    keyboard drives no subclass.
     """
     kind.speed_range = speed_range
     kind.get_action = partial(_limited_action, kind)
@@ -237,8 +242,9 @@ def limit_speed(
 def _limited_action(
     kind: actions.ContinuousAction, action: np.ndarray
 ) -> dict[str, float]:
-    """Return the control of an action, whose acceleration is limited to stay within the
-    range of speeds.
+    """Return the control of an action, within the range of speeds.
+
+    The acceleration is limited for it.
     """
     control = actions.ContinuousAction.get_action(kind, action)
     vehicle = kind.controlled_vehicle
@@ -309,11 +315,11 @@ class Autopilot(ActionType):
 
 
 class HumanModelAction(Autopilot):
-    """The agent chooses every human's model by its place in ``config["ladder"]``; the
-    robot plans with these models.
+    """Lets the agent choose every human's model, with which the robot plans.
 
-    The reward is that of the paper's meta-MDP, ``r_R - lambda T(M)``, with ``lambda``
-    from the configuration of this action and T from ``config["costs"]``.
+    A model is its place in ``config["ladder"]``. The reward is that of the paper's
+    meta-MDP, ``r_R - lambda T(M)``, with ``lambda`` from the configuration of this
+    action and T from ``config["costs"]``.
     """
 
     def space(self) -> spaces.Space:

@@ -32,10 +32,10 @@ from ms_highway.runtime.process import refuse_after_fork
 
 
 class InteractionVectorEnv(VectorEnv):
-    """Many environments of one scenario, simulated in JAX on all cores; each equals an
-    `InteractionEnv` of its seed up to rounding, which chaotic scenes amplify
-    (``notebooks/REFERENCE.md`` says by how much).
+    """Many environments of one scenario, simulated in JAX on all cores.
 
+    Each equals an `InteractionEnv` of its seed up to rounding, which chaotic scenes
+    amplify (``notebooks/REFERENCE.md`` says by how much).
     ``gym.make_vec("ms-highway/merger-v1", num_envs=1024, config={"action": {"type":
     "ContinuousAction"}})`` makes one. Episodes end and begin as Gymnasium's autoreset
     modes say. ``info`` has ``collision``. It also has ``status``, ``model`` (the most
@@ -99,8 +99,7 @@ class InteractionVectorEnv(VectorEnv):
         seed: int | Sequence[int | None] | None = None,
         options: Config | None = None,
     ) -> tuple[np.ndarray, Config]:
-        """Start episodes: of all environments, or of those in
-        ``options["reset_mask"]``.
+        """Start episodes of all environments, or of those in a mask.
 
         Args:
             seed: of each environment; a number is the first one's seed, and the others
@@ -167,8 +166,9 @@ class InteractionVectorEnv(VectorEnv):
     def step(
         self, actions: object
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Config]:
-        """Step all environments; reset those whose episode has ended as the autoreset
-        mode says.
+        """Step all environments.
+
+        Those whose episode has ended are reset as the autoreset mode says.
 
         Raises:
             ValueError: for actions outside the action space, before the first reset,
@@ -309,8 +309,9 @@ class InteractionVectorEnv(VectorEnv):
         return info
 
     def _info_at_reset(self) -> Config:
-        """Return the values of ``info`` of environments that have done no step: with
-        the keys and types of `_info`.
+        """Return the values of ``info`` of environments that have done no step.
+
+        They have the keys and types of `_info`.
         """
         assert self._state is not None
         states = np.asarray(self._state.now.state)
@@ -356,8 +357,9 @@ def autoreset_mode_of(mode: AutoresetMode | str) -> AutoresetMode:
 
 
 def __getattr__(name: str) -> Callable[..., InteractionVectorEnv]:
-    """Return what makes a vector environment of an id, such as ``merger-v1``, for
-    Gymnasium's entry points.
+    """Return what makes a vector environment of an id, such as ``merger-v1``.
+
+    Gymnasium's entry points find it so.
     """
     try:
         return partial(InteractionVectorEnv, ENVIRONMENTS[scenario_name(name)])

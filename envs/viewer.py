@@ -15,12 +15,11 @@ from ms_highway.envs.configuration import Config
 def words(
     text: str, size: int, color: Color, ground: Color | None = None
 ) -> pygame.Surface:
-    """Draw a line of text in a kerned font of ``size`` px, on a surface whose height is
-    the same for every text.
+    """Draw a line of text in a kerned font of ``size`` px.
 
-    The font comes with Matplotlib, so that pictures are the same on every machine. It
-    is opened for every text, as closing any of highway-env's viewers ends the font
-    module.
+    The height of the surface is the same for every text. The font comes with
+    Matplotlib, so that pictures are the same on every machine. It is opened for every
+    text, as closing any of highway-env's viewers ends the font module.
     """
     file = f"{matplotlib.get_data_path()}/fonts/ttf/DejaVuSans.ttf"
     pygame.freetype.init()
@@ -30,8 +29,9 @@ def words(
 
 
 class PictureViewer(EnvViewer):
-    """Draws image observations like highway-env, also under a dummy video driver, and
-    can be copied.
+    """Draws image observations like highway-env, and can be copied.
+
+    It also draws under a dummy video driver.
     """
 
     def __init__(self, env: AbstractEnv, config: Config) -> None:
@@ -45,8 +45,9 @@ class PictureViewer(EnvViewer):
 
 
 def enable_pictures(env: AbstractEnv) -> bool:
-    """Give each image observation of an environment a `PictureViewer`; return whether
-    one has drawn black so far.
+    """Give each image observation of an environment a `PictureViewer`.
+
+    Return whether one has drawn black so far.
     """
     kind = env.observation_type
     parts = getattr(kind, "observation_types", None)
@@ -63,8 +64,9 @@ def enable_pictures(env: AbstractEnv) -> bool:
 
 
 class Viewer(EnvViewer):
-    """Draws like highway-env, also without a display, and beside other viewers of the
-    process.
+    """Draws like highway-env, also without a display.
+
+    Other viewers of the process may draw at the same time.
     """
 
     # Attributes that only `EnvViewer.__init__` sets.
@@ -105,8 +107,9 @@ class Viewer(EnvViewer):
             self.extend_display()
 
     def show(self, picture: pygame.Surface) -> None:
-        """Show a picture in the window, if there is one, in real time if the
-        configuration says so.
+        """Show a picture in the window, if there is one.
+
+        It is shown in real time if the configuration says so.
         """
         if not self.offscreen:
             self.screen.blit(picture, (0, 0))
@@ -115,14 +118,16 @@ class Viewer(EnvViewer):
             pygame.display.flip()
 
     def __reduce__(self) -> tuple[type[None], tuple[()]]:
-        """Copy and pickle as None: a copied environment makes its own viewer when it
-        renders.
+        """Copy and pickle as None.
+
+        A copied environment makes its own viewer when it renders.
         """
         return type(None), ()
 
     def close(self) -> None:
-        """Close the window, if there is one; other environments of the process may
-        still be drawing.
+        """Close the window, if there is one.
+
+        Other environments of the process may still be drawing.
         """
         if not self.offscreen:
             pygame.display.quit()
