@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from minari import MinariDataset
     from minari.data_collector import EpisodeBuffer
 
-FORMAT = 1
+DATASET_FORMAT = 1
 """Version of recorded data sets; `load_demonstrations` reads no other."""
 
 PROVENANCE = "ms_highway"
@@ -243,7 +243,7 @@ def load_demonstrations(dataset: str) -> list[Recording]:
             " `ms-highway irl record`"
         )
     with _opened(data) as (stored, made):
-        if (made.get("format"), made.get("time_step")) != (FORMAT, TIME_STEP):
+        if (made.get("format"), made.get("time_step")) != (DATASET_FORMAT, TIME_STEP):
             raise ValueError("it was not recorded by this version of the package")
         return [
             _episode(f"episode {number}", each.observations)
@@ -372,7 +372,7 @@ def _create(
         requirements=[f"ms-highway=={package}"],
     )
     made = {
-        "format": FORMAT,
+        "format": DATASET_FORMAT,
         "version": package,
         "time_step": TIME_STEP,
         **settings,

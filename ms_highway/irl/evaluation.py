@@ -47,7 +47,7 @@ class RegimeLimits:
     """Distance to a leader at the start, from centre to centre [m]."""
 
 
-REGIMES = RegimeLimits()
+REGIME_LIMITS = RegimeLimits()
 
 ByHorizon = dict[str, float]
 Situations = dict[str, dict[str, dict[str, ByHorizon]]]
@@ -218,7 +218,7 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     the other regimes. Drivers who are seen for less than 3 s are in none.
     """
     start = snapshots.drivers(snapshots.now)
-    last_step = SNAPSHOT.steps_per_second * REGIMES.seconds - 1
+    last_step = SNAPSHOT.steps_per_second * REGIME_LIMITS.seconds - 1
     later = snapshots.drivers(snapshots.future[:, last_step])
     x, y, _, speed = start.T
     _, y_later, _, speed_later = later.T
@@ -226,17 +226,17 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     # Whether there is a leader in the own lane.
     others = snapshots.now[snapshots.which]  # [drivers, cars, 4]
     half_width = snapshots.lane_width[snapshots.which] / 2
-    is_near = others[..., 0] - x[:, None] < REGIMES.leader_distance
+    is_near = others[..., 0] - x[:, None] < REGIME_LIMITS.leader_distance
     _, is_led = leaders(
         x[:, None], y[:, None], others, is_near[:, None], half_width[:, None, None]
     )
 
-    acceleration = (speed_later - speed) / REGIMES.seconds
+    acceleration = (speed_later - speed) / REGIME_LIMITS.seconds
     regimes = {
-        "lane change": np.abs(y_later - y) > REGIMES.lane_change,
-        "braking": acceleration < -REGIMES.acceleration,
-        "accelerating": acceleration > REGIMES.acceleration,
-        "slow": speed < REGIMES.slow,
+        "lane change": np.abs(y_later - y) > REGIME_LIMITS.lane_change,
+        "braking": acceleration < -REGIME_LIMITS.acceleration,
+        "accelerating": acceleration > REGIME_LIMITS.acceleration,
+        "slow": speed < REGIME_LIMITS.slow,
         "no leader": ~is_led[:, 0],
     }
     regimes["following"] = ~np.any(list(regimes.values()), axis=0)

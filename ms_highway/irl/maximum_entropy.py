@@ -79,7 +79,7 @@ class WeightFit:
         return 5 * self.prior_deviation
 
 
-FIT = WeightFit()
+WEIGHT_FIT = WeightFit()
 
 
 @jax.tree_util.register_dataclass
@@ -300,16 +300,16 @@ def fit_weights(
             hess=curvature,
             method="trust-exact",
             options={
-                "gtol": FIT.tolerance / 10,
-                "initial_trust_radius": FIT.initial_trust_radius,
-                "max_trust_radius": FIT.max_trust_radius,
-                "maxiter": FIT.iterations,
+                "gtol": WEIGHT_FIT.tolerance / 10,
+                "initial_trust_radius": WEIGHT_FIT.initial_trust_radius,
+                "max_trust_radius": WEIGHT_FIT.max_trust_radius,
+                "maxiter": WEIGHT_FIT.iterations,
             },
         )
         best = result.x
         hessian = curvature(best)
         (_, likelihoods), slope = _loss(best, *data)
-        if np.abs(slope).max() >= FIT.tolerance:
+        if np.abs(slope).max() >= WEIGHT_FIT.tolerance:
             name = _parameter_names(model)[np.abs(slope).argmax()]
             raise ValueError(
                 f"the fit has not converged: {name} still changes after {result.nit}"
@@ -377,9 +377,9 @@ def _checked_curvature(
     def slope(logarithms: Parameters) -> np.ndarray:
         return np.asarray(_loss(logarithms, *data)[1])
 
-    hessian = slope_differences(slope, logarithms, FIT.difference)
+    hessian = slope_differences(slope, logarithms, WEIGHT_FIT.difference)
 
-    largest = FIT.largest_logarithm
+    largest = WEIGHT_FIT.largest_logarithm
     learned = len(model.learned)
     names = _parameter_names(model)
     diverging = [
@@ -429,7 +429,9 @@ def _loss(
 ) -> tuple[Scalar, Vector]:
     """Return minus the mean log p under the prior, and log p of each segment."""
     likelihoods = _segment_likelihoods(logarithms, derivatives, floor, signs, given)
-    prior = jnp.sum(logarithms**2) / (2 * FIT.prior_deviation**2 * len(likelihoods))
+    prior = jnp.sum(logarithms**2) / (
+        2 * WEIGHT_FIT.prior_deviation**2 * len(likelihoods)
+    )
     return prior - jnp.mean(likelihoods), likelihoods
 
 

@@ -32,7 +32,7 @@ from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
 from ms_highway.runtime.compilation import jit_quickly
 
-PEERS = {
+PEER_PREDICTORS = {
     "constant_velocity": "constant velocity",
     "idm": "IDM of highway-env",
     "fitted_idm": "IDM, fitted",
@@ -117,7 +117,7 @@ class VehicleSteering:
         return np.sin(np.arctan(np.tan(self.largest_wheel_angle) / 2))
 
 
-STEERING = VehicleSteering()
+VEHICLE_STEERING = VehicleSteering()
 
 
 def check_peers(learned: LearnedDrivers) -> None:
@@ -126,7 +126,7 @@ def check_peers(learned: LearnedDrivers) -> None:
     Raises:
         ValueError: naming the peer and the parameter.
     """
-    for name in PEERS:
+    for name in PEER_PREDICTORS:
         if name not in learned.peers:
             raise ValueError(
                 f"drivers.peers lacks {name}; learn the reward again with `ms-highway"
@@ -168,7 +168,7 @@ def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
     Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS
     over the logarithms of the parameters.
     """
-    parameters: dict[str, dict[str, float]] = {name: {} for name in PEERS}
+    parameters: dict[str, dict[str, float]] = {name: {} for name in PEER_PREDICTORS}
     parameters["fitted_idm"] = structs.asdict(_fit_idm(snapshots))
     peers = {}
     for name, own in parameters.items():
@@ -234,19 +234,21 @@ def _idm_of_all(parameters: IdmPeer, snapshot: Snapshots) -> CarStates:
         # Steer to the centre of the lane: the offset asks for a lateral speed and so
         # for a heading, its error for a yaw rate and so for a slip angle.
         moving = jnp.maximum(speed, 0.01)
-        sine = STEERING.largest_heading_sine
+        sine = VEHICLE_STEERING.largest_heading_sine
         wanted_sine = (lane - y) / (parameters.settling * moving)
         wanted_heading = jnp.arcsin(jnp.clip(wanted_sine, -sine, sine))
-        slip_sine = STEERING.largest_slip_sine
+        slip_sine = VEHICLE_STEERING.largest_slip_sine
         yaw_rate = (wanted_heading - heading) / parameters.steering
-        wanted_slip_sine = STEERING.slip_length / moving * yaw_rate
+        wanted_slip_sine = VEHICLE_STEERING.slip_length / moving * yaw_rate
         slip = jnp.arcsin(jnp.clip(wanted_slip_sine, -slip_sine, slip_sine))
 
         # highway-env's bicycle: the centre moves by the slip angle beside the heading.
         distance = TIME_STEP * speed
         x_after = x + distance * jnp.cos(heading + slip)
         y_after = y + distance * jnp.sin(heading + slip)
-        heading_after = heading + distance * jnp.sin(slip) / STEERING.slip_length
+        heading_after = (
+            heading + distance * jnp.sin(slip) / VEHICLE_STEERING.slip_length
+        )
         speed_after = jnp.maximum(speed + TIME_STEP * acceleration, 0.0)
         after = jnp.stack([x_after, y_after, heading_after, speed_after], axis=-1)
         return after, after[:, :2]

@@ -23,13 +23,13 @@ from ms_highway.irl.driving import (
     shown_traits,
 )
 from ms_highway.irl.mixture import SIDES, Mixture, Modes
-from ms_highway.irl.peers import PEERS, predict_peer
+from ms_highway.irl.peers import PEER_PREDICTORS, predict_peer
 from ms_highway.irl.recording import CarFlags, Cars, CarStates
 from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 from ms_highway.planning.learned_driving import HELD_CONTROL
 from ms_highway.runtime.compilation import in_batches
 
-PREDICTORS = {"model": "learned drivers", **PEERS}
+PREDICTORS = {"model": "learned drivers", **PEER_PREDICTORS}
 """Names and labels of all predictors, the learned one first."""
 
 

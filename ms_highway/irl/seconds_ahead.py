@@ -101,7 +101,7 @@ class DriverPrior:
         return np.where(of_weights, self.weight_deviation, self.trait_deviation)
 
 
-PRIOR = DriverPrior()
+DRIVER_PRIOR = DriverPrior()
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ class DriverFit:
     """Snapshots that are computed at once, so that gradients fit in memory."""
 
 
-FIT = DriverFit()
+DRIVER_FIT = DriverFit()
 
 
 def learn_drivers(
@@ -144,13 +144,15 @@ def learn_drivers(
     Raises:
         ValueError: if no driver was seen for 2 s.
     """
-    if not np.any(_labels(snapshots)[0]):
+    learned_from, _ = _labels(snapshots)
+    if not np.any(learned_from):
+        seconds = DRIVER_FIT.min_steps / SNAPSHOT.steps_per_second
         raise ValueError(
-            f"no driver was seen for {FIT.min_steps / SNAPSHOT.steps_per_second:g} s;"
-            " nothing can be learned seconds ahead"
+            f"no driver was seen for {seconds:g} s; nothing can be learned seconds"
+            " ahead"
         )
     logarithms, drivers = _fit_drivers(
-        snapshots, progress, PRIOR.means, iterations=FIT.iterations
+        snapshots, progress, DRIVER_PRIOR.means, iterations=DRIVER_FIT.iterations
     )
 
     # The spread around predictions of drivers who were not learned from.
@@ -164,7 +166,7 @@ def learn_drivers(
     deviations: dict[str, float] = {}
     if intervals:
         found = _deviations(logarithms, snapshots)
-        deviations = dict(zip(PRIOR.medians, found, strict=True))
+        deviations = dict(zip(DRIVER_PRIOR.medians, found, strict=True))
     progress("fitting the predictors to compare with")
     return LearnedDrivers(
         **structs.asdict(plain(drivers)),
@@ -189,13 +191,15 @@ def _held_out(
         drivers: that were learned from all snapshots.
     """
     groups = np.unique(snapshots.group[snapshots.which])
-    if len(groups) < FIT.folds:
+    if len(groups) < DRIVER_FIT.folds:
         return [(snapshots, drivers)]
-    fold = np.searchsorted(groups, snapshots.group) % FIT.folds
+    fold = np.searchsorted(groups, snapshots.group) % DRIVER_FIT.folds
     of_others = []
-    for number in range(FIT.folds):
+    for number in range(DRIVER_FIT.folds):
         others = snapshots.only(fold != number)
-        _, fitted = _fit_drivers(others, progress, logarithms, FIT.refit_iterations)
+        _, fitted = _fit_drivers(
+            others, progress, logarithms, DRIVER_FIT.refit_iterations
+        )
         of_others.append(fitted)
     return [
         (snapshots.of(fold == number), fitted)
@@ -222,8 +226,8 @@ def _fit_drivers(
     used = learned_from.any(axis=1).sum()
     data = jax.device_put(snapshots)
     evaluations = count(1)
-    means = PRIOR.means
-    deviations = PRIOR.deviations
+    means = DRIVER_PRIOR.means
+    deviations = DRIVER_PRIOR.deviations
 
     def loss(logarithms: Parameters) -> tuple[float, Parameters]:
         """Return minus the log posterior per driver, and its slope."""
@@ -245,19 +249,19 @@ def _fit_drivers(
 def _drivers_of(logarithms: Parameters) -> Drivers:
     """Return the drivers with these logarithms, who keep their lanes."""
     xp = namespace(logarithms)
-    ends = [len(PRIOR.weights), len(PRIOR.weights) + len(PRIOR.traits)]
+    ends = [
+        len(DRIVER_PRIOR.weights),
+        len(DRIVER_PRIOR.weights) + len(DRIVER_PRIOR.traits),
+    ]
     weights, traits, factors = xp.split(xp.exp(logarithms), ends)
     headway, *deviations, noise = traits
     one = xp.ones_like(headway)  # median share of the speed limit, and patience
     prior = TraitPrior(xp.stack([one, headway, one]), xp.stack(deviations), noise)
-    named = {
-        **dict(zip(Drivers.learned_weights, weights, strict=True)),
-        "comfort_acceleration": FIT.comfort_weight,
-    }
+    by_name = dict(zip(Drivers.learned_weights, weights, strict=True))
+    by_name["comfort_acceleration"] = DRIVER_FIT.comfort_weight
+    while_changing = dict(zip(Drivers.in_lane_changes, factors, strict=True))
     never = Intention(np.full(2, -20.0), np.zeros(6))  # type: ignore[arg-type]
-    return Drivers(
-        named, prior, dict(zip(Drivers.in_lane_changes, factors, strict=True)), never
-    )
+    return Drivers(by_name, prior, while_changing, never)
 
 
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
@@ -271,7 +275,7 @@ def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
     seen = jnp.isfinite(y[1:]).sum(axis=0)
     last = jnp.take_along_axis(y, seen[None], axis=0)[0]
     side = lane_numbers(snapshot.lanes, last) - lane_numbers(snapshot.lanes, y[0])
-    is_known = (seen >= FIT.min_steps) & (jnp.abs(side) <= 1)
+    is_known = (seen >= DRIVER_FIT.min_steps) & (jnp.abs(side) <= 1)
     learned_from = snapshot.predicted & is_known
     return learned_from, side * learned_from
 
@@ -300,7 +304,7 @@ def _shares(logarithms: Parameters, snapshots: Snapshots) -> Cars:
         errors, known = robust_errors(path, snapshot.future, learned_from)
         return jnp.sum(errors, axis=(0, 2)), known.sum(axis=0)
 
-    errors, known = jax.lax.map(errors_of, snapshots, batch_size=FIT.batch_size)
+    errors, known = jax.lax.map(errors_of, snapshots, batch_size=DRIVER_FIT.batch_size)
     return errors / known.sum()
 
 
@@ -321,8 +325,8 @@ def _deviations(logarithms: Parameters, snapshots: Snapshots) -> list[float]:
     def slope(logarithms: Parameters) -> jax.Array:
         return _mean_error(logarithms, data)[1]
 
-    hessian = slope_differences(slope, logarithms, FIT.difference)
-    prior = np.diag(1 / PRIOR.deviations**2) / learned_from.sum()
+    hessian = slope_differences(slope, logarithms, DRIVER_FIT.difference)
+    prior = np.diag(1 / DRIVER_PRIOR.deviations**2) / learned_from.sum()
     inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
     scores = np.asarray(_scores(logarithms, data), dtype=float)[learned_from]
     tracks = np.asarray(snapshots.track)[learned_from]
@@ -344,7 +348,7 @@ def _fit_intention(snapshots: Snapshots) -> Intention:
         odds = np.where(exist, numbers[:2] + advantages @ numbers[2:], -np.inf)
         odds = np.pad(odds, ((0, 0), (1, 0)))  # of keeping the lane: 0
         log_likelihoods = odds[drivers, mode] - special.logsumexp(odds, axis=1)
-        prior = numbers @ numbers / (2 * PRIOR.odds_deviation**2)
+        prior = numbers @ numbers / (2 * DRIVER_PRIOR.odds_deviation**2)
         return float(prior - log_likelihoods.sum())
 
     first = np.array([-3.0, -3.0, *np.zeros(6)])

@@ -47,7 +47,7 @@ class TrackSmoothing:
     """
 
 
-SMOOTHING = TrackSmoothing()
+TRACK_SMOOTHING = TrackSmoothing()
 
 
 class Track(NamedTuple):
@@ -90,7 +90,7 @@ def smoothed(recorded: Points) -> Track:
     steps = len(recorded) - 1
     cosine = np.ones(steps)  # cos(h) of each step
     sine_per_heading = np.ones(steps)  # sin(h) / h
-    for _ in range(SMOOTHING.rounds):
+    for _ in range(TRACK_SMOOTHING.rounds):
         x, speed = _fit_along(recorded[:, 0], cosine)
         y, heading = _fit_across(recorded[:, 1], speed, sine_per_heading)
         cosine = np.cos(heading[:-1])
@@ -118,8 +118,8 @@ def _fit_along(recorded: Values, cosine: Values) -> tuple[float, Values]:
     distances = (speeds[:-1] + speeds[1:]) * dt / 2
     places = _cumulative(cosine[:, None] * distances)
 
-    jerks = np.diff(identity, axis=0) / (SMOOTHING.jerk * dt)
-    accelerations = identity / SMOOTHING.acceleration
+    jerks = np.diff(identity, axis=0) / (TRACK_SMOOTHING.jerk * dt)
+    accelerations = identity / TRACK_SMOOTHING.acceleration
     x, *motion = _least_squares(places, recorded, jerks, accelerations)
     return x, np.maximum(speeds @ motion, 0)
 
@@ -143,13 +143,13 @@ def _fit_across(
     places = _cumulative((distance * sine_per_heading)[:, None] * headings[:-1])
 
     changes = np.diff(identity, axis=0)
-    jerks = changes * speed[1:-1, None] ** 2 / (SMOOTHING.lateral_jerk * dt)
-    curvatures = identity / SMOOTHING.curvature
-    first_heading = np.eye(1, len(identity) + 1) / SMOOTHING.heading
+    jerks = changes * speed[1:-1, None] ** 2 / (TRACK_SMOOTHING.lateral_jerk * dt)
+    curvatures = identity / TRACK_SMOOTHING.curvature
+    first_heading = np.eye(1, len(identity) + 1) / TRACK_SMOOTHING.heading
     y, start, *turning = _least_squares(
         places, recorded, jerks, curvatures, first_heading
     )
-    limit = SMOOTHING.largest_curvature
+    limit = TRACK_SMOOTHING.largest_curvature
     return y, headings @ [start, *np.clip(turning, -limit, limit)]
 
 
@@ -179,7 +179,7 @@ def _least_squares(
     padded = [
         np.pad(part, ((0, 0), (unknowns - part.shape[1], 0))) for part in penalties
     ]
-    matrix = np.vstack([positions / SMOOTHING.position_error, *padded])
+    matrix = np.vstack([positions / TRACK_SMOOTHING.position_error, *padded])
     missing = len(matrix) - len(recorded)
-    errors = np.pad(recorded / SMOOTHING.position_error, (0, missing))
+    errors = np.pad(recorded / TRACK_SMOOTHING.position_error, (0, missing))
     return np.linalg.lstsq(matrix, errors)[0]

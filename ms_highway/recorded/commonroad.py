@@ -22,7 +22,7 @@ import numpy as np
 
 from ms_highway.game.scenario import TIME_STEP
 from ms_highway.recorded.elements import (
-    LARGEST,
+    LARGEST_NUMBERS,
     interval_at,
     number_at,
     outlines_at,
@@ -241,10 +241,10 @@ def _speed_limits(_: int, sign: Element) -> list[float]:
         for shown in sign.iterfind("trafficSignElement")
         if shown.findtext("trafficSignID") in FORMAT_2020A.speed_signs
     ]
-    if not all(1 <= limit <= LARGEST.speed for limit in limits):
+    if not all(1 <= limit <= LARGEST_NUMBERS.speed for limit in limits):
         raise ValueError(
             f"it shows <additionalValue> {limits} m/s; limits are from 1 to"
-            f" {LARGEST.speed:g} m/s"
+            f" {LARGEST_NUMBERS.speed:g} m/s"
         )
     return limits
 
@@ -351,16 +351,16 @@ def _pose(state: Element) -> tuple[float, float, float]:
     """Return x, y and orientation of a state; intervals are refused."""
     x = number_at(state, "position/point/x")
     y = number_at(state, "position/point/y")
-    return x, y, number_at(state, "orientation/exact", LARGEST.angle)
+    return x, y, number_at(state, "orientation/exact", LARGEST_NUMBERS.angle)
 
 
 def _sample(state: Element) -> tuple[int, float, float, float, float]:
     """Return the time step, x, y, orientation and speed of a state."""
-    time = number_at(state, "time/exact", LARGEST.step)
+    time = number_at(state, "time/exact", LARGEST_NUMBERS.step)
     if time < 0:
         raise ValueError(f"<time> of <{state.tag}> is {time}; it must not be negative")
     pose = _pose(state)
-    return round(time), *pose, number_at(state, "velocity/exact", LARGEST.speed)
+    return round(time), *pose, number_at(state, "velocity/exact", LARGEST_NUMBERS.speed)
 
 
 # Planning problems
@@ -386,13 +386,13 @@ def _goals(state: Element, areas: Mapping[int, Points]) -> Iterator[GoalRegion]:
     if unknown:
         raise ValueError(f"a goal has <{min(unknown)}>, which cannot be judged here")
 
-    first, last = interval_at(state, "time", LARGEST.step)
+    first, last = interval_at(state, "time", LARGEST_NUMBERS.step)
     speeds = None
     if "velocity" in conditions:
-        speeds = interval_at(state, "velocity", LARGEST.speed)
+        speeds = interval_at(state, "velocity", LARGEST_NUMBERS.speed)
     headings = None
     if "orientation" in conditions:
-        headings = interval_at(state, "orientation", LARGEST.angle)
+        headings = interval_at(state, "orientation", LARGEST_NUMBERS.angle)
         if headings[1] - headings[0] >= tau:
             headings = None  # every heading is within a full turn
 

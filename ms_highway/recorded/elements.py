@@ -34,7 +34,7 @@ class LargestNumbers:
     """[m]. Maps may be in UTM coordinates, of up to 1e7 m."""
 
 
-LARGEST = LargestNumbers()
+LARGEST_NUMBERS = LargestNumbers()
 
 
 def read_each(
@@ -65,7 +65,7 @@ def references(element: Element, path: str) -> tuple[int, ...]:
 def number_at(
     element: Element,
     path: str,
-    largest: float = LARGEST.coordinate,
+    largest: float = LARGEST_NUMBERS.coordinate,
     default: float | None = None,
 ) -> float:
     """Return the number at a path of tags, or the default where there is no element.
@@ -152,5 +152,5 @@ def _rectangle(shape: Element) -> Points:
     square = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) / 2
     corners = square * [number_at(shape, "length"), number_at(shape, "width")]
     corners[:, 0] -= number_at(shape, "originXShift", default=0.0)
-    angle = number_at(shape, "orientation", LARGEST.angle, default=0.0)
+    angle = number_at(shape, "orientation", LARGEST_NUMBERS.angle, default=0.0)
     return turned_left(corners, angle)

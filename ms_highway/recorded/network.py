@@ -44,7 +44,7 @@ class LaneSmoothing:
     """Number of points for which a smoothing spline can be fitted."""
 
 
-SMOOTHING = LaneSmoothing()
+LANE_SMOOTHING = LaneSmoothing()
 
 
 class Axes(NamedTuple):
@@ -291,13 +291,13 @@ def _lane(
         if number in by_number
     ]
     with_neighbours = np.concatenate([*before, centre, *after])
-    even_centre = axes.positions(resample(centre.T, SMOOTHING.lane_spacing).T)
+    even_centre = axes.positions(resample(centre.T, LANE_SMOOTHING.lane_spacing).T)
 
     deviation = np.inf
     for curve in chain(smooth_curves(with_neighbours), smooth_curves(centre)):
         lane = _lane_along(curve, lanelet, axes, edges)
         deviation = _deviation(even_centre, lane)
-        if deviation <= SMOOTHING.max_deviation:
+        if deviation <= LANE_SMOOTHING.max_deviation:
             return lane
     raise ValueError(
         f"lanelet {lanelet.number} turns too sharply: the middle of a smooth lane would"
@@ -311,7 +311,7 @@ def _lane_along(
     """Return the lane of a lanelet along a curve of the map."""
     # Even places on the part of the curve that belongs to the lanelet.
     along, _ = curve.locate(lanelet.centre)
-    number = max(round((along[-1] - along[0]) / SMOOTHING.lane_spacing), 2) + 1
+    number = max(round((along[-1] - along[0]) / LANE_SMOOTHING.lane_spacing), 2) + 1
     places = np.linspace(along[0], along[-1], number)
 
     # The lane's middle and width at these places.
@@ -335,16 +335,16 @@ def smooth_curves(line: Points) -> Iterator[Curve]:
     line = line[np.r_[True, is_new_point]]
     distance = arc_lengths(line.T)
     length = distance[-1]
-    for scale in SMOOTHING.scales:
+    for scale in LANE_SMOOTHING.scales:
         # A smoothing spline through evenly spaced points of the line.
         spacing = scale / 2
-        number = max(round(length / spacing) + 1, SMOOTHING.min_points)
+        number = max(round(length / spacing) + 1, LANE_SMOOTHING.min_points)
         even = np.linspace(0, length, number)
         points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
         spline = make_smoothing_spline(even, points, lam=scale**4 / spacing)
 
         # A curve through evenly spaced points of the spline.
-        step = min(SMOOTHING.curve_spacing, length / SMOOTHING.min_points)
+        step = min(LANE_SMOOTHING.curve_spacing, length / LANE_SMOOTHING.min_points)
         fine = spline(np.arange(0.0, length + step, step / 2))
         x, y = resample(fine.T, step)
         yield Curve.through(x, y, spacing=step)
@@ -355,5 +355,5 @@ def _last_part(line: Points) -> Points:
     neighbours are smoothed.
     """
     to_end = arc_lengths(line[::-1].T)[::-1]
-    is_near = to_end <= SMOOTHING.neighbour_length
+    is_near = to_end <= LANE_SMOOTHING.neighbour_length
     return line[is_near] if is_near.sum() > 1 else line[-2:]

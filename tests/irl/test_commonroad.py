@@ -28,9 +28,8 @@ def read(directory, *texts):
     return read_directory(directory)
 
 
-def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right_and_without_ramps_and_opposite_lanes(
-    tmp_path,
-):
+def test_a_road_at_an_angle_becomes_straight(tmp_path):
+    """Its y is to the right, and ramps and opposite lanes are left out."""
     opposite = lanelet(6, -12.0, straight(200, 0))
     ramp = lanelet(5, -14.0, np.linspace(0, 1, 30)[:, None] * [120, -40])
     (recording,) = read(tmp_path, scenario(lanelets=opposite + ramp + two_lanes()))
@@ -47,27 +46,20 @@ def test_a_road_at_an_angle_becomes_straight_with_y_to_the_right_and_without_ram
         np.testing.assert_allclose(states, expected, atol=1e-6)
 
 
-def test_a_track_is_a_driver_only_once_among_the_files_of_one_recording_and_a_pedestrian_never(
-    tmp_path,
-):
-    second = scenario(
-        cars=pedestrian(103, 80) + car(100, 20, 0) + car(102, 60, 3.0), number=2
-    )
-    recordings = read(
-        tmp_path, scenario(), second, second.replace("Test-1_2", "Test-2_2")
-    )
-    assert [recording.drivers.tolist() for recording in recordings] == [
-        [0, 1],
-        [2],
-        [1, 2],
-    ]
+def test_a_track_is_a_driver_once_in_the_files_of_a_recording(tmp_path):
+    """A pedestrian never is one."""
+    cars = pedestrian(103, 80) + car(100, 20, 0) + car(102, 60, 3.0)
+    second = scenario(cars=cars, number=2)
+    of_another_recording = second.replace("Test-1_2", "Test-2_2")
+    recordings = read(tmp_path, scenario(), second, of_another_recording)
+    drivers = [recording.drivers.tolist() for recording in recordings]
+    assert drivers == [[0, 1], [2], [1, 2]]
     assert all(recording.seen.all() for recording in recordings)
 
 
-def test_a_file_that_unpacks_to_more_than_any_scenario_is_refused(tmp_path):
-    (tmp_path / "bomb.xml.gz").write_bytes(
-        gzip.compress(bytes(100_000_001), compresslevel=1)
-    )
+def test_a_file_that_unpacks_to_too_much_is_refused(tmp_path):
+    packed = gzip.compress(bytes(100_000_001), compresslevel=1)
+    (tmp_path / "bomb.xml.gz").write_bytes(packed)
     with pytest.raises(
         ValueError, match=r"bomb\.xml\.gz cannot be read as .*more than 100000000 bytes"
     ):
@@ -78,16 +70,15 @@ def along_the_road(number, steps, ahead, speed=SPEED):
     """A car in the right lane, which is at these distances along the road at these
     steps.
     """
-    places = [place(start, 3.5) for start in ahead]
-    return moving(
-        number,
-        [(step, *here, TURN, speed) for step, here in zip(steps, places, strict=True)],
-    )
+    states = [
+        (step, *place(along, 3.5), TURN, speed)
+        for step, along in zip(steps, ahead, strict=True)
+    ]
+    return moving(number, states)
 
 
-def test_drivers_whose_driving_is_impossible_or_says_nothing_are_left_out_and_named(
-    tmp_path,
-):
+def test_unusable_drivers_are_left_out_and_named(tmp_path):
+    """Their driving is impossible, or says nothing."""
     steps = np.arange(STEPS)
     ahead = SPEED * 0.1 * steps
     odd = {
@@ -98,12 +89,8 @@ def test_drivers_whose_driving_is_impossible_or_says_nothing_are_left_out_and_na
         204: car(204, 20, 0),  # where the car 100 is
     }
     short = car(205, 80, 3.5, samples=2)
-    (recording,) = read(
-        tmp_path,
-        scenario(
-            cars=car(100, 20, 0) + car(101, 40, 3.0) + short + "".join(odd.values())
-        ),
-    )
+    cars = car(100, 20, 0) + car(101, 40, 3.0) + short + "".join(odd.values())
+    (recording,) = read(tmp_path, scenario(cars=cars))
     with pytest.warns(
         UserWarning,
         match=(

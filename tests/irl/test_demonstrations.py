@@ -56,34 +56,32 @@ def test_routes_keep_apart():
 
 
 @pytest.mark.usefixtures("files")
-def test_the_driver_drives_the_episodes_of_a_minari_data_set_again_with_its_settings_and_seed():
+def test_the_driver_drives_a_recorded_episode_again():
+    """It does with the settings and the seed in Minari's metadata."""
     dataset = minari.load_dataset(NAME)
     settings = dataset.storage.metadata["ms_highway"]
-    assert [settings[key] for key in ("driver", "format", "time_step", "horizon")] == [
-        "maxent",
-        1,
-        0.1,
-        5,
-    ]
+    keys = ("driver", "format", "time_step", "horizon")
+    assert [settings[key] for key in keys] == ["maxent", 1, 0.1, 5]
     (mark,) = dataset.storage.get_episode_metadata([1])
     env = dataset.recover_environment()
     seen = [env.reset(seed=mark["seed"], options=mark["options"])[0]]
-    for action, recorded in zip(
-        actions("maxent", env.unwrapped, mark["seed"]), dataset[1].actions, strict=False
-    ):
+    again = actions("maxent", env.unwrapped, mark["seed"])
+    for action, recorded in zip(again, dataset[1].actions, strict=False):
         np.testing.assert_array_equal(action, recorded)
         seen.append(env.step(action)[0])
     np.testing.assert_array_equal(seen, dataset[1].observations)
 
 
 @pytest.mark.usefixtures("files")
-def test_loaded_recordings_are_the_observed_states_and_follow_from_the_actions():
+def test_loaded_recordings_are_the_observed_states():
+    """The next ones follow from the actions."""
     dataset = minari.load_dataset(NAME)
     action_type = dataset.recover_environment().unwrapped.action_type
     for recording, episode, others in zip(
         load_demonstrations(NAME), dataset, DENSITIES.values(), strict=True
     ):
-        assert (recording.states.shape, [*recording.drivers]) == ((51, 8, 4), [0])
+        assert recording.states.shape == (51, 8, 4)
+        assert [*recording.drivers] == [0]
         assert (recording.seen.sum(axis=1) == 1 + others).all()
         np.testing.assert_array_equal(
             recording.states[recording.seen], episode.observations[recording.seen, 1:]
@@ -93,14 +91,12 @@ def test_loaded_recordings_are_the_observed_states_and_follow_from_the_actions()
         curvatures = np.tan(wheel * action_type.steering_range[1]) / 5
         states = recording.states[:, 0]
         controls = np.stack([curvatures, accelerations], axis=-1)
-        np.testing.assert_allclose(
-            step(PAPER_DYNAMICS, states[:-1], controls), states[1:], atol=5e-5
-        )
+        after = step(PAPER_DYNAMICS, states[:-1], controls)
+        np.testing.assert_allclose(after, states[1:], atol=5e-5)
 
 
-def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set_alone(
-    files,
-):
+def test_recording_goes_on_after_the_last_episode(files):
+    """A complete data set is left alone."""
     data = files / "main_data.hdf5"
     before = data.read_bytes()
     assert list(record("maxent", 2, NAME)) == [3]
@@ -111,9 +107,8 @@ def test_recording_goes_on_after_the_last_episode_and_leaves_a_complete_data_set
     assert [path.name for path in files.parent.iterdir()] == ["data"]
 
 
-def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_is_named(
-    files, monkeypatch
-):
+def test_data_sets_that_cannot_be_used_are_refused(files, monkeypatch):
+    """They are of other settings, damaged or missing, or Minari is."""
     with pytest.raises(ValueError, match=r"other settings, {'first_seed': 0}"):
         next(record("maxent", 3, NAME, seed=5))
     with h5py.File(files / "main_data.hdf5", "a") as file:
@@ -144,9 +139,10 @@ def test_damaged_and_missing_data_sets_are_refused_and_without_minari_the_extra_
         load_demonstrations(NAME)
 
 
-def test_a_person_needs_a_display_and_closing_the_window_discards_the_episode(
+def test_closing_the_window_discards_the_episode_of_a_person(
     datasets, monkeypatch, refused
 ):
+    """Without a display, a person cannot drive."""
     for variable in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(variable, raising=False)
     pygame.display.quit()
@@ -157,9 +153,9 @@ def test_a_person_needs_a_display_and_closing_the_window_discards_the_episode(
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     counts = record("keyboard", 1, "me-v0")
     assert next(counts) == 0
-    threading.Timer(
-        2.0, pygame.event.post, [pygame.event.Event(pygame.QUIT)]
-    ).start()  # within the five seconds
+    closing = pygame.event.Event(pygame.QUIT)
+    # Within the five seconds of the episode.
+    threading.Timer(2.0, pygame.event.post, [closing]).start()
     with pytest.raises(KeyboardInterrupt):
         next(counts)
     assert not list(datasets.iterdir())

@@ -28,36 +28,27 @@ from ms_highway.irl.recording import Recording
 from ms_highway.irl.segments import cut_segments
 
 
-def test_if_comfort_alone_is_rewarded_controls_have_a_normal_or_a_student_distribution():
+def test_controls_are_normal_or_student_if_comfort_alone_is_rewarded():
     controls = np.random.default_rng(0).normal(size=(7, 6))
     hessians = np.broadcast_to(-np.eye(6), (7, 1, 6, 6))
-    derivatives = FeatureDerivatives(
-        -np.sum(controls**2, axis=-1, keepdims=True) / 2, -controls[:, None], hessians
-    )
+    features = -np.sum(controls**2, axis=-1, keepdims=True) / 2
+    derivatives = FeatureDerivatives(features, -controls[:, None], hessians)
+    theta = np.array([2.0])
     with jax.enable_x64(True):
-        normal, student = (
-            log_likelihoods(derivatives, np.array([2.0]), 0.5, 1e-3, tails)
-            for tails in (None, 3.0)
-        )
-    np.testing.assert_allclose(
-        normal, stats.norm.logpdf(controls, scale=0.5).sum(axis=-1), rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        student,
-        stats.multivariate_t.logpdf(controls, shape=np.eye(6) / 4, df=3),
-        rtol=1e-12,
-    )
+        normal = log_likelihoods(derivatives, theta, 0.5, 1e-3, None)
+        student = log_likelihoods(derivatives, theta, 0.5, 1e-3, 3.0)
+    expected = stats.norm.logpdf(controls, scale=0.5).sum(axis=-1)
+    np.testing.assert_allclose(normal, expected, rtol=1e-12)
+    expected = stats.multivariate_t.logpdf(controls, shape=np.eye(6) / 4, df=3)
+    np.testing.assert_allclose(student, expected, rtol=1e-12)
 
 
-def test_the_weights_of_a_demonstrator_are_recovered_and_one_without_information_keeps_its_prior(
-    tmp_path, monkeypatch
-):
+def test_the_weights_of_a_demonstrator_are_recovered(tmp_path, monkeypatch):
+    """A weight without information, here of a gap to nobody, keeps its prior."""
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     assert list(record("maxent", 12, "maxent-v0"))
     demonstrated = cut_segments(load_demonstrations("maxent-v0"), 5)
-    model = RewardModel(
-        (*SIMULATED.learned, "gap"), SIMULATED.given
-    )  # there is no leader to keep a gap to
+    model = RewardModel((*SIMULATED.learned, "gap"), SIMULATED.given)
     derivatives = differentiate(demonstrated, model.names)
     found = fit_weights(derivatives, model)
     assert found.temperature == pytest.approx(TEMPERATURE, rel=0.15)
@@ -65,10 +56,8 @@ def test_the_weights_of_a_demonstrator_are_recovered_and_one_without_information
     for name, deviation in zip(SIMULATED.learned, deviations, strict=True):
         error = abs(np.log(found.weights[name] / DRIVER_WEIGHTS[name]))
         assert error < min(np.log(1.25), 3.5 * deviation), name
-    assert (found.weights["gap"], prior) == (
-        pytest.approx(1.0, rel=1e-2),
-        pytest.approx(4.0, rel=1e-3),
-    )
+    assert found.weights["gap"] == pytest.approx(1.0, rel=1e-2)
+    assert prior == pytest.approx(4.0, rel=1e-3)
     human = derivatives.features.mean(axis=0)
     expected = expected_features(demonstrated, found)
     compared = [name not in ("collision_risk", "off_road") for name in model.names]
@@ -111,12 +100,11 @@ def driven(*controls):
     )
 
 
-def test_a_driver_who_stands_for_a_while_does_not_let_weights_diverge():
+def test_weights_do_not_diverge_if_a_driver_stands():
     random = np.random.default_rng(0)
-    swerving = [0.0, 2.0] + random.normal(size=(3, 60, 2)) * [
-        0.002,
-        0.5,
-    ]  # friction takes 2 m/s^2
+    noise = random.normal(size=(3, 60, 2)) * [0.002, 0.5]
+    friction = 2.0  # m/s^2, which the acceleration makes up for
+    swerving = np.array([0.0, friction]) + noise
     standing = np.where(np.arange(60)[:, None] < 45, 0.0, [0.001, 1.0])
     with pytest.warns(
         UserWarning,

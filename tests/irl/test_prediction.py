@@ -37,9 +37,8 @@ from ms_highway.irl.recording import Recording, known_from, sources
 from ms_highway.irl.snapshots import cut_snapshots
 
 DRIVERS = shipped("us101").drivers
-LANES = (
-    3.4 * np.arange(6)
-)  # as many as recordings are padded to, so that moments are predicted by the same program
+# As many as recordings are padded to: the same program predicts moments.
+LANES = 3.4 * np.arange(6)
 
 
 def recorded(*cars, drivers=1):
@@ -64,9 +63,9 @@ def snapshot(recording, second):
 
 
 @pytest.mark.parametrize("predictor", PREDICTORS)
-def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predictor):
-    """Of 50 cars, the first comes up to a standing one, and 48 come into sight only at
-    this moment.
+def test_a_moment_is_predicted_as_in_a_recording(predictor):
+    """The future of the recording is not used. Of 50 cars, the first comes up to a
+    standing one, and 48 come into sight only at this moment.
     """
     behind = [(-40.0 * row, y, 0.0, 15.0) for row in range(1, 9) for y in LANES]
     recording = recorded(
@@ -74,9 +73,8 @@ def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predic
     )
     recording.states[:30, 2:] = np.nan
     (weights, paths), spread = predict_with(predictor, snapshot(recording, 3), DRIVERS)
-    states = recording.states[:31] + np.array(
-        [0, 0, 2 * np.pi, 0]
-    )  # whole turns of headings change nothing
+    # Whole turns of headings change nothing.
+    states = recording.states[:31] + np.array([0, 0, 2 * np.pi, 0])
     found = ms_highway.predict(
         states, LANES, 29.0, seconds=4, predictor=predictor, lane_width=3.4
     )
@@ -87,13 +85,10 @@ def test_a_moment_is_predicted_as_in_a_recording_whose_future_is_not_used(predic
     assert (found.mean[0, -1, 0] < 100.0) == (predictor != "constant_velocity"), (
         "it brakes behind the standing car"
     )
-    variances = (
-        found.covariances.diagonal(axis1=-2, axis2=-1)
-        / spread.scales(len(found.covariances), 40) ** 2
-    )
-    inside = stats.f.cdf(
-        np.log(2) * variances, 2, np.asarray(spread.freedom(40))[:, None]
-    )
+    scales = spread.scales(len(found.covariances), 40)
+    variances = found.covariances.diagonal(axis1=-2, axis2=-1) / scales**2
+    freedom = np.asarray(spread.freedom(40))[:, None]
+    inside = stats.f.cdf(np.log(2) * variances, 2, freedom)
     np.testing.assert_allclose(
         inside,
         0.5,
@@ -107,16 +102,13 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
     snapshots = snapshot(recorded(*cars, drivers=4), 3)
     network = RoadNetwork()
     for y in LANES:
-        network.add_lane(
-            "start",
-            "end",
-            StraightLane([-1e4, y], [1e4, y], width=3.4, speed_limit=29.0),
-        )
+        lane = StraightLane([-1e4, y], [1e4, y], width=3.4, speed_limit=29.0)
+        network.add_lane("start", "end", lane)
     road = Road(network)
-    for state in snapshots.now[0, :4]:
-        road.vehicles.append(
-            IDMVehicle(road, state[:2], *state[2:], enable_lane_change=False)
-        )
+    for x, y, heading, speed in snapshots.now[0, :4]:
+        start = np.array([x, y])
+        vehicle = IDMVehicle(road, start, heading, speed, enable_lane_change=False)
+        road.vehicles.append(vehicle)
     path = []
     for _ in range(50):
         road.act()
@@ -130,19 +122,15 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
 def test_errors_of_a_known_path_are_its_distances_from_the_recording():
     snapshots = cut_snapshots([following()])
     exact = predict_with("constant_velocity", snapshots, DRIVERS)
-    paths = (
-        np.asarray(exact.modes.path) + [3.0, 0.0] * (0.1 * np.arange(1, 51))[:, None]
-    )  # by 3 m/s too fast
+    times = 0.1 * np.arange(1, 51)
+    paths = np.asarray(exact.modes.path) + [3.0, 0.0] * times[:, None]  # 3 m/s too fast
     fast = exact._replace(modes=exact.modes._replace(path=paths))
     right, wrong = (
         metrics(prediction_errors(each, snapshots.recorded)) for each in (exact, fast)
     )
     assert max(right["ade"].values()) < 1e-4
-    assert (
-        wrong["fde"]
-        == wrong["rmse"]
-        == pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
-    )
+    expected = pytest.approx({"1": 3.0, "2": 6.0, "3": 9.0, "5": 15.0}, abs=1e-3)
+    assert wrong["fde"] == wrong["rmse"] == expected
     assert wrong["ade"]["1"] == pytest.approx(1.65, abs=1e-3)
     assert set(wrong["miss"].values()) == {1.0}
     assert wrong["log_p"]["5"] < right["log_p"]["5"]
@@ -151,89 +139,66 @@ def test_errors_of_a_known_path_are_its_distances_from_the_recording():
 def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
     drifting = following()
     drifting.states[:, 0, 2] = -0.06
-    drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(
-        61
-    )  # in the snapshot, half way to the next lane
+    # In the snapshot, it is half way to the next lane.
+    drifting.states[:, 0, 1] += 1.0 - 0.9 * 0.1 * np.arange(61)
     modes = predict_drivers(snapshot(drifting, 2), DRIVERS)
     assert modes.probability[0].argmax() == 1
     assert modes.path[0, 1, -1, 1] == pytest.approx(0.0, abs=0.7)
-    assert (
-        predict_drivers(snapshot(following(), 5), DRIVERS).probability[0].argmax() == 0
-    )
+    straight_on = predict_drivers(snapshot(following(), 5), DRIVERS)
+    assert straight_on.probability[0].argmax() == 0
 
 
 def test_the_fitted_spread_holds_as_many_drivers_as_it_says():
     random = np.random.default_rng(0)
     time = 0.1 * np.arange(1, 51)
     scales = np.stack([0.3 * time**1.5, 0.1 * time], axis=-1)
-    positions = (
-        random.normal(size=(1000, 50, 2))
-        * scales
-        / np.sqrt(random.chisquare(4, size=(1000, 1, 1)) / 4)
-    )
+    normal = random.normal(size=(1000, 50, 2))
+    stretch = np.sqrt(random.chisquare(4, size=(1000, 1, 1)) / 4)
+    positions = normal * scales / stretch
     modes = Modes(np.ones((1000, 1)), np.zeros((1000, 1, 50, 2), np.float32))
     fitted = Mixture(modes, fit_spread(modes, positions))
     found = np.asarray(fitted.spread.scales(1, 50))[0]
     freedom = float(fitted.spread.freedom(50)[-1])
     np.testing.assert_allclose(found[9::10], scales[9::10], rtol=0.15)
-    density = stats.multivariate_t.logpdf(
-        positions[:, -1], shape=np.diag(found[-1] ** 2), df=freedom
-    )
-    np.testing.assert_allclose(
-        log_density(fitted, positions)[:, -1], density, rtol=1e-3
-    )
+    shape = np.diag(found[-1] ** 2)
+    density = stats.multivariate_t.logpdf(positions[:, -1], shape=shape, df=freedom)
+    own_density = log_density(fitted, positions)[:, -1]
+    np.testing.assert_allclose(own_density, density, rtol=1e-3)
     level = density_level(fitted, positions)
     for share in (0.5, 0.9):
-        np.testing.assert_allclose(
-            (level[:, 9::20] < share).mean(axis=0), share, atol=0.04
-        )
+        inside = (level[:, 9::20] < share).mean(axis=0)
+        np.testing.assert_allclose(inside, share, atol=0.04)
 
 
-def test_evaluating_on_the_recordings_that_were_learned_from_is_said_under_any_name(
-    tmp_path, capsys
-):
-    for number, cars in enumerate(
-        (car(1, 20, 0) + car(2, 60, 3.0), car(3, 30, 0) + pedestrian(4, 80))
-    ):
-        (tmp_path / f"{number}.xml").write_text(
-            scenario(cars=cars).replace("Test-1", f"Test-{number}")
-        )
+def test_evaluating_on_recordings_that_were_learned_from_is_said(tmp_path, capsys):
+    """They are known under any name."""
+    of_files = car(1, 20, 0) + car(2, 60, 3.0), car(3, 30, 0) + pedestrian(4, 80)
+    for number, cars in enumerate(of_files):
+        text = scenario(cars=cars).replace("Test-1", f"Test-{number}")
+        (tmp_path / f"{number}.xml").write_text(text)
     first, second = recordings = read_directory(tmp_path)
-    save(
-        structs.replace(shipped("us101"), learned_from=sources([first])),
-        tmp_path / "theta.json",
-    )
-    known = load(tmp_path / "theta.json").learned_from
+    theta = tmp_path / "theta.json"
+    learned = structs.replace(shipped("us101"), learned_from=sources([first]))
+    save(learned, theta)
+
+    known = load(theta).learned_from
     assert known_from(recordings, known) == [first]
-    assert (
-        len(
-            known_from(
-                [replace(first, group="Renamed-1"), replace(second, group=first.group)],
-                known,
-            )
-        )
-        == 2
-    )
-    assert (
-        known_from(
-            [replace(second, group="episode 0", measured=False)],
-            {"episode 0": ["other"]},
-        )
-        == []
-    )
-    run(f"irl evaluate --theta {tmp_path / 'theta.json'} --data {tmp_path} --json")
+    renamed = replace(first, group="Renamed-1")
+    of_same_group = replace(second, group=first.group)
+    assert len(known_from([renamed, of_same_group], known)) == 2
+    simulated = replace(second, group="episode 0", measured=False)
+    assert known_from([simulated], {"episode 0": ["other"]}) == []
+
+    run(f"irl evaluate --theta {theta} --data {tmp_path} --json")
     printed = capsys.readouterr()
-    (line,) = (
-        line for line in printed.err.splitlines() if line.startswith("ms-highway:")
-    )
+    lines = printed.err.splitlines()
+    (line,) = (line for line in lines if line.startswith("ms-highway:"))
     assert "was learned from 1 of these 2 recordings" in line
     assert "--folds 4" in line
     assert json.loads(printed.out)["learned_from"] == 1
 
 
-def test_the_shipped_drivers_know_the_recordings_that_they_were_learned_from(
-    us101_directory,
-):
+def test_the_shipped_drivers_know_their_recordings(us101_directory):
     recordings = read_directory(us101_directory, first=1)
     (renamed,) = (replace(recording, group="renamed") for recording in recordings)
     assert len(known_from([*recordings, renamed], shipped("us101").learned_from)) == 2
@@ -268,14 +233,11 @@ def test_the_commands_fit_and_evaluate(us101_directory, tmp_path, capsys):
     }
 
 
-def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(
-    tmp_path, refused
-):
+def test_drivers_with_damaged_peers_are_refused(tmp_path, refused):
+    """They are before recordings are read."""
     peers = DRIVERS.peers
-    damaged = structs.replace(
-        peers["fitted_idm"],
-        parameters={**peers["fitted_idm"].parameters, "braking": -1.0},
-    )
+    fitted = peers["fitted_idm"]
+    damaged = structs.replace(fitted, parameters=fitted.parameters | {"braking": -1.0})
     theta = tmp_path / "theta.json"
     for wrong, message in (
         (
@@ -284,12 +246,8 @@ def test_drivers_with_damaged_peers_are_refused_before_recordings_are_read(
         ),
         ({"idm": peers["idm"]}, "drivers.peers lacks constant_velocity"),
     ):
-        save(
-            structs.replace(
-                shipped("us101"), drivers=structs.replace(DRIVERS, peers=wrong)
-            ),
-            theta,
-        )
+        drivers = structs.replace(DRIVERS, peers=wrong)
+        save(structs.replace(shipped("us101"), drivers=drivers), theta)
         line = refused(f"irl evaluate --theta {theta} --data nowhere")
         assert f"{theta} cannot be used ({message}" in line
 

@@ -11,9 +11,8 @@ from ms_highway.irl.recording import Recording
 from ms_highway.irl.tracks import track_of
 
 TIME = np.arange(80) * 0.1
-WAVE = np.stack(
-    [0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1
-)  # a gentle swerve and some braking, at 20 m/s
+# A gentle swerve and some braking, at 20 m/s.
+WAVE = np.stack([0.001 * np.sin(TIME), 4 + np.sin(TIME / 2)], axis=-1)
 
 
 def tracked(states):
@@ -24,9 +23,8 @@ def tracked(states):
 
 def driven(start, controls):
     """The states of a car that starts in a state and is driven by controls."""
-    return np.stack(
-        list(accumulate(controls, partial(step, PAPER_DYNAMICS), initial=start))
-    )
+    states = accumulate(controls, partial(step, PAPER_DYNAMICS), initial=start)
+    return np.stack(list(states))
 
 
 STATES = driven(np.array([5.0, 1.0, 0.02, 20.0]), WAVE)
@@ -48,9 +46,8 @@ def test_controls_drive_the_car_along_its_track_wherever_it_is():
 
 
 def test_noise_is_not_taken_for_driving():
-    track = tracked(
-        STATES + np.random.default_rng(0).normal(size=STATES.shape) * [0.1, 0.1, 0, 0]
-    )
+    noise = np.random.default_rng(0).normal(size=STATES.shape)
+    track = tracked(STATES + noise * [0.1, 0.1, 0, 0])
     assert error(track) < 0.06
     curvatures, accelerations = (track.controls - WAVE).std(axis=0)
     assert curvatures < 0.0005

@@ -41,7 +41,7 @@ SEAM = 0.1  # m, beyond the edges of the road that still counts as road
 
 
 def written(directory, cars=CARS, problems=PROBLEM, lanelets=""):
-    """The file of a small scenario; by default, with two lanes, two cars and a problem."""
+    """The file of a small scenario, by default with two lanes, two cars, a problem."""
     path = directory / "small.xml"
     path.write_text(scenario(lanelets=lanelets, cars=cars, problems=problems))
     return str(path)
@@ -53,7 +53,7 @@ def idle(*_):
 
 
 def begun(file, traffic="replay", ego="problem"):
-    """The environment of a file in its first episode, and the ``info`` of its `reset`."""
+    """The environment of a file in its first episode, and what `reset` tells of it."""
     config = {
         "recording": str(file),
         "traffic": traffic,
@@ -72,7 +72,8 @@ def steps(env, act=idle):
     while not done:
         outcome = env.step(act(env))
         yield outcome
-        done = outcome[2] or outcome[3]
+        _, _, terminated, truncated, _ = outcome
+        done = terminated or truncated
 
 
 def braking(env):
@@ -80,9 +81,8 @@ def braking(env):
     ego = env.vehicle
     along, right = ego.lane.local_coordinates(ego.position)
     turned = np.sin(ego.heading - ego.lane.heading_at(along))
-    return np.array(
-        [-min(3.0, ego.speed / 0.1) / 5, np.clip(-0.2 * right - 4 * turned, -1, 1)]
-    )
+    braking = min(3.0, ego.speed / 0.1)
+    return np.array([-braking / 5, np.clip(-0.2 * right - 4 * turned, -1, 1)])
 
 
 def others(env):
@@ -115,8 +115,8 @@ def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
     tracks = {track.number: track for track in env.scenario.tracks}
     for step in range(env.task.last + 1):
         rows = {
-            n: row
-            for n, track in tracks.items()
+            number: row
+            for number, track in tracks.items()
             for row in track.samples
             if row[0] == step
         }
@@ -134,34 +134,30 @@ def test_replayed_vehicles_are_where_they_were_recorded_at_each_step():
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned"])
-def test_the_vehicle_behind_a_standing_ego_hits_it_in_replay_and_brakes_in_learned_traffic(
-    traffic,
-):
+def test_only_learned_vehicles_brake_for_a_standing_ego(traffic):
     env, _ = begun(SHIPPED_RECORDING, traffic)
     *_, (*_, info) = steps(env, braking)
     told = info["recorded"]
     assert told["collision"] == (traffic == "replay")
     if traffic == "learned":
         assert told["step"] == env.task.last
-        along = [
-            (*env.vehicle.lane.local_coordinates(one.position), one.speed)
-            for one in env.road.vehicles
+        ego, *traffic_now = [
+            (*env.vehicle.lane.local_coordinates(vehicle.position), vehicle.speed)
+            for vehicle in env.road.vehicles
         ]
         behind = [
-            (x, speed) for x, y, speed in along if abs(y) < 1.5 and x < along[0][0]
+            (x, speed) for x, y, speed in traffic_now if abs(y) < 1.5 and x < ego[0]
         ]
-        assert max(behind)[1] < 3.0
+        _, speed_of_nearest = max(behind)
+        assert speed_of_nearest < 3.0
 
 
 @pytest.mark.parametrize("traffic", ["learned", "idm"])
 def test_drivers_brake_for_a_standing_object_in_their_lane(traffic, tmp_path):
-    pillar = moving(
-        102, [(step, *place(95, 0), TURN, 0.0) for step in range(61)], "pillar"
-    )
-    env, _ = begun(
-        written(tmp_path, CARS + pillar, problem(goal=190, times=(0, 60), speed=0.0)),
-        traffic,
-    )
+    states = [(step, *place(95, 0), TURN, 0.0) for step in range(61)]
+    pillar = moving(102, states, "pillar")
+    far_goal = problem(goal=190, times=(0, 60), speed=0.0)
+    env, _ = begun(written(tmp_path, CARS + pillar, far_goal), traffic)
     *_, (*_, info) = steps(env)
     assert info["recorded"]["step"] == 60
     assert not any(
@@ -170,16 +166,16 @@ def test_drivers_brake_for_a_standing_object_in_their_lane(traffic, tmp_path):
     assert others(env)[100].speed < 6.0
 
 
-def test_a_car_whose_place_is_taken_waits_and_enters_there_later(tmp_path):
+def test_a_car_waits_while_its_place_is_taken(tmp_path):
     late = car(102, 20, 0, samples=60, first=5)
-    env, told = begun(
-        written(tmp_path, CARS + late, problem(speed=0.0, goal=190, times=(0, 60))),
-        "learned",
-    )
+    far_goal = problem(speed=0.0, goal=190, times=(0, 60))
+    env, told = begun(written(tmp_path, CARS + late, far_goal), "learned")
     assert told["waiting"].tolist() == [False, False, False]
-    for *_, info in steps(
-        env, lambda env: np.array([0.0 if env.steps < 12 else 1.0, 0.0])
-    ):
+
+    def start_late(env):
+        return np.array([0.0 if env.steps < 12 else 1.0, 0.0])
+
+    for *_, info in steps(env, start_late):
         told = info["recorded"]
         gap = env.vehicle.position[0] - env.axes.positions(place(20, 0))[0]
         if 102 in others(env):
@@ -193,29 +189,22 @@ def test_a_car_whose_place_is_taken_waits_and_enters_there_later(tmp_path):
     )
 
 
-def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
+def test_a_goal_is_reached_where_commonroad_says_so(us):
     from commonroad.common.reader.file_reader_xml import XMLFileReader
     from commonroad.scenario.state import CustomState
 
-    (theirs,) = (
-        XMLFileReader(BytesIO(read_xml(us("29_1"))))
-        .open()[1]
-        .planning_problem_dict.values()
-    )
+    _, problems = XMLFileReader(BytesIO(read_xml(us("29_1")))).open()
+    (theirs,) = problems.planning_problem_dict.values()
     task = problem_of(open_recording(str(us("29_1"))), "problem")
     (goal,) = task.goals
-    rng = np.random.default_rng(0)
-    found = []
-    middle = [
-        *goal.area.mean(axis=0),
-        np.mean(goal.headings),
-        np.mean(goal.speeds),
-        43.0,
-    ]
+
+    # Samples around the goal, some of them outside: x, y, orientation, speed and step.
+    centre = goal.area.mean(axis=0)
+    middle = [*centre, np.mean(goal.headings), np.mean(goal.speeds), 43.0]
     reach = [2.0, 2.0, np.ptp(goal.headings) / 2, np.ptp(goal.speeds) / 2, 6.0]
-    for x, y, orientation, speed, step in (
-        middle + rng.uniform(-1.1, 1.1, (400, 5)) * reach
-    ):
+    shares = np.random.default_rng(0).uniform(-1.1, 1.1, (400, 5))
+    found = []
+    for x, y, orientation, speed, step in middle + shares * reach:
         state = CustomState(
             position=np.array([x, y]),
             orientation=orientation,
@@ -231,27 +220,39 @@ def test_a_goal_is_reached_where_commonroads_own_reader_finds_it_reached(us):
     ("cars", "problems", "steering", "step", "ends", "earned"),
     [
         # At 20 m + 17 1.2 m = 40.4 m, the first step in the region from 40 m to 60 m.
-        (
+        pytest.param(
             CARS,
             problem(speeds=(11.0, 13.0), headings=(TURN - 0.1, TURN + 0.1)),
             0.0,
             17,
             ["success"],
             1.0,
+            id="at the goal",
         ),
-        (CARS, problem(goal_right=WIDTH), 0.0, 40, [], 0.0),
-        (
+        pytest.param(
+            CARS, problem(goal_right=WIDTH), 0.0, 40, [], 0.0, id="at the last time"
+        ),
+        pytest.param(
             car(100, 27, 0),
             problem(speed=25.0, goal=32.0, times=(2, 40)),
             0.0,
             2,
             ["collision"],
             -1.0,
-        ),  # in the region
-        (car(100, 150, 0), problem(goal=190), -0.5, 9, ["off_road"], -1.0),
+            id="by a collision, in the region",
+        ),
+        pytest.param(
+            car(100, 150, 0),
+            problem(goal=190),
+            -0.5,
+            9,
+            ["off_road"],
+            -1.0,
+            id="off the road",
+        ),
     ],
 )
-def test_an_episode_ends_at_the_goal_or_by_a_collision_or_off_the_road_or_at_its_last_time(
+def test_an_episode_ends_where_and_when_it_should(
     cars, problems, steering, step, ends, earned, tmp_path
 ):
     env, _ = begun(written(tmp_path, cars, problems))
@@ -259,13 +260,10 @@ def test_an_episode_ends_at_the_goal_or_by_a_collision_or_off_the_road_or_at_its
     corners_off = []
     for outcome in steps(env, lambda _: np.array([0.0, steering])):
         outcomes.append(outcome)
-        rights = env.axes.points(env.vehicle.polygon()[:-1]) @ [
-            np.sin(TURN),
-            -np.cos(TURN),
-        ]
-        corners_off.append(
-            ((rights < -WIDTH / 2 - SEAM) | (rights > WIDTH * 1.5 + SEAM)).sum()
-        )
+        corners = env.axes.points(env.vehicle.polygon()[:-1])
+        right = corners @ [np.sin(TURN), -np.cos(TURN)]
+        is_off = (right < -WIDTH / 2 - SEAM) | (right > WIDTH * 1.5 + SEAM)
+        corners_off.append(is_off.sum())
     _, reward, terminated, truncated, info = outcomes[-1]
     told = info["recorded"]
     assert [name for name in ("success", "collision", "off_road") if told[name]] == ends
@@ -279,8 +277,7 @@ def test_an_episode_ends_at_the_goal_or_by_a_collision_or_off_the_road_or_at_its
 
 
 def test_each_of_several_planning_problems_can_be_driven(tmp_path):
-    second = problem(30.0).replace('planningProblem id="7"', 'planningProblem id="8"')
-    path = written(tmp_path, problems=PROBLEM + second)
+    path = written(tmp_path, problems=PROBLEM + problem(30.0, number=8))
     egos = "problem", "problem:7", "problem:8"
     first, seventh, eighth = (
         begun(path, ego=ego)[0].vehicle.position[0] for ego in egos
@@ -301,15 +298,11 @@ def turned(states, angle):
 
 
 @pytest.mark.parametrize("traffic", ["replay", "learned", "idm"])
-def test_the_ego_takes_the_place_of_the_vehicle_that_its_planning_problem_is_about(
-    traffic, tmp_path
-):
+def test_the_ego_replaces_the_vehicle_of_its_planning_problem(traffic, tmp_path):
     """The vehicle of another planning problem stays, and so does a car at the ego's
     bumper.
     """
-    second = problem(40.0, WIDTH).replace(
-        'planningProblem id="7"', 'planningProblem id="8"'
-    )
+    second = problem(40.0, WIDTH, number=8)
     cars = car(100, 21, 0.2) + car(101, 40, WIDTH) + car(102, 26, 0)
     path = written(tmp_path, cars, PROBLEM + second)
     for ego, own in (("problem:7", 100), ("problem:8", 101)):
@@ -337,9 +330,7 @@ STILL = [(step, *place(20, 0), TURN, 0.0) for step in range(20)]
         standing(102, RECTANGLE, *place(20, 0)),
     ],
 )
-def test_an_obstacle_that_overlaps_the_start_is_refused_unless_it_is_the_ego(
-    there, tmp_path
-):
+def test_an_obstacle_that_overlaps_the_start_is_refused(there, tmp_path):
     path = written(tmp_path, CARS + there)
     for start in (lambda: begun(path), lambda: starts_of(tmp_path, "problem")):
         with pytest.raises(
@@ -357,7 +348,7 @@ def test_lanes_of_two_directions_are_two_roads(tmp_path):
     assert info["recorded"]["success"]
 
 
-def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position():
+def test_the_ego_goes_to_the_last_position_of_its_vehicle():
     env, told = begun(SHIPPED_RECORDING, ego=298)
     track = env.scenario.track(298)
     first, last = track.samples[[0, -1]]
@@ -365,19 +356,17 @@ def test_the_ego_in_the_place_of_a_recorded_vehicle_goes_to_its_last_position():
         [told["step"], *state(env, env.vehicle)], first, atol=1e-6
     )
     assert track.size == (env.vehicle.LENGTH, env.vehicle.WIDTH)
-    for late, right in ((0, True), (20, True), (21, False)):
-        assert (
-            env.task.is_reached(int(last[0]) + late, last[1:3], last[3], last[4])
-            == right
-        )
+    step, x, y, orientation, speed = last
+    for late, in_time in ((0, True), (20, True), (21, False)):
+        point = np.array([x, y])
+        reached = env.task.is_reached(int(step) + late, point, orientation, speed)
+        assert reached == in_time
     for _ in range(5):
         env.step(idle())
         assert 298 not in others(env)
 
 
-def test_an_impossible_episode_is_refused_with_the_remedy_and_the_old_one_goes_on(
-    tmp_path,
-):
+def test_an_impossible_episode_is_refused_and_the_old_one_goes_on(tmp_path):
     env, _ = begun(written(tmp_path))
     before = dict(env.config)
     with pytest.raises(
@@ -393,7 +382,7 @@ def test_an_impossible_episode_is_refused_with_the_remedy_and_the_old_one_goes_o
         begun(written(tmp_path, problems=problem(right=40.0)))
 
 
-def test_lanes_go_on_smoothly_over_joints_and_within_themselves(us):
+def test_lanes_are_smooth_within_and_at_their_joints(us):
     for name in ("17_1", "14_1"):  # the second road has exits
         network = begun(us(name))[0].road.network
         joints = [
@@ -403,18 +392,11 @@ def test_lanes_go_on_smoothly_over_joints_and_within_themselves(us):
         ]
         assert len(joints) == 6
         for one, other in joints:
-            assert (
-                np.linalg.norm(one.position(one.length, 0) - other.position(0, 0))
-                < 0.05
-            )
+            gap = one.position(one.length, 0) - other.position(0, 0)
+            assert np.linalg.norm(gap) < 0.05
             assert abs(one.heading_at(one.length) - other.heading_at(0)) < 0.02
-        assert (
-            max(
-                np.abs(np.diff(lane.curve.heading)).max()
-                for lane in network.lanes_list()
-            )
-            < 0.02
-        )
+        for lane in network.lanes_list():
+            assert np.abs(np.diff(lane.curve.heading)).max() < 0.02
 
 
 GRIP = 4.9  # m/s^2, of a robot
@@ -424,20 +406,18 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     """Drive through a bend on an empty road; the largest offsets of a corner and of the
     robot's middle [m].
     """
+    # The last time of the problem: after the bend, at the speed that grip allows.
     slowest = min(speed, np.sqrt(0.8 * GRIP * radius))
     seconds = 40 / speed + (radius * angle + 15) / slowest
-    there = problem(
-        0.0,
-        speed=speed,
-        goal=None,
-        times=(round(10 * seconds), round(10 * seconds) + 1),
-    )
-    far = moving(
-        100, [(step, *place(-200, 100), TURN, 0.0) for step in range(2)], "pillar"
-    )
-    path = directory / "bend.xml"
+    last = round(10 * seconds)
+    there = problem(0.0, speed=speed, goal=None, times=(last, last + 1))
+
+    # A file must have an obstacle: one far from the road.
+    states = [(step, *place(-200, 100), TURN, 0.0) for step in range(2)]
+    far = moving(100, states, "pillar")
     before = 40.0 if speed**2 < 160 else 120.0
     road = lanelet(1, 0.0, bend(radius, side, angle, before, after=80.0))
+    path = directory / "bend.xml"
     path.write_text(scenario(lanelets=road, cars=far, problems=there))
     env = drive(
         gym.make(
@@ -455,8 +435,8 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
     while not done:
         _, _, terminated, truncated, info = env.step(None)
         done = terminated or truncated
-        _, aside = lane.curve.locate(inner.vehicle.polygon()[:-1])
-        corners.append(abs(aside).max())
+        _, offsets = lane.curve.locate(inner.vehicle.polygon()[:-1])
+        corners.append(abs(offsets).max())
         middles.append(abs(lane.local_coordinates(inner.vehicle.position)[1]))
         accelerations.append(info["road"]["acceleration"])
     assert info["recorded"]["success"], (radius, side, speed, max(corners))
@@ -465,9 +445,8 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
 
 
 @pytest.mark.parametrize("radius", [7, 12, 60])
-def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brakes_in_time_for_others(
-    radius, tmp_path
-):
+def test_the_robot_stays_in_its_lane_in_bends_at_its_grip(radius, tmp_path):
+    """It comes to the last bend at twice the speed that its grip allows, and brakes."""
     limit = np.sqrt(GRIP * radius)
     for side, speed in ((1, limit), (-1, limit), (-1, 2 * limit)):
         corner, middle = driven_through(tmp_path, radius, side, speed)
@@ -478,16 +457,9 @@ def test_the_robot_stays_in_its_lane_in_bends_at_the_limit_of_its_grip_and_brake
 @pytest.mark.slow
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("radius", [7, 12, 30, 60, 150, 300])
-def test_the_robot_stays_in_its_lane_in_bends_of_all_radii_at_all_speeds(
-    radius, side, tmp_path
-):
+def test_the_robot_stays_in_its_lane_in_all_bends(radius, side, tmp_path):
     limit = np.sqrt(GRIP * radius)
+    angle = np.pi if radius < 50 else np.pi / 2
     for speed in np.array([0.5, 0.85, 1.0, 2.0]) * limit:
-        corner, _ = driven_through(
-            tmp_path,
-            radius,
-            side,
-            min(speed, 35.0),
-            np.pi if radius < 50 else np.pi / 2,
-        )
+        corner, _ = driven_through(tmp_path, radius, side, min(speed, 35.0), angle)
         assert corner < WIDTH / 2
