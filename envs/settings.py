@@ -24,9 +24,9 @@ from ms_highway.game.scenario import (
     build_game,
 )
 from ms_highway.loop.controller import HUMAN_DRIVERS
-from ms_highway.numerics.convex_newton import JOINT_STEPS, STEPS
+from ms_highway.numerics.convex_newton import NEWTON_STEPS
 from ms_highway.numerics.solvers import (
-    MAX_ITERATIONS,
+    GRADIENT_STEPS,
     PlanningSettings,
     SolverName,
     gradient_steps,
@@ -213,9 +213,12 @@ class Settings(Struct, frozen=True):
     """Duration of a step of plans and of the environment [s]."""
 
     iterations: Annotated[
-        Annotated[int, Meta(ge=1, le=MAX_ITERATIONS)] | None,
+        Annotated[int, Meta(ge=1, le=GRADIENT_STEPS.max_number)] | None,
         Meta(
-            description=f"it must be a whole number from 1 to {MAX_ITERATIONS}, or None"
+            description=(
+                f"it must be a whole number from 1 to {GRADIENT_STEPS.max_number}, or"
+                " None"
+            )
         ),
     ]
     """Number of gradient steps of a plan; None for what suits the horizon."""
@@ -250,7 +253,7 @@ class Settings(Struct, frozen=True):
         horizon = self.horizon
         time_step = self.time_step
         chosen = gradient_steps(self.planning)[0]
-        if chosen > MAX_ITERATIONS:
+        if chosen > GRADIENT_STEPS.max_number:
             why = (
                 f"{horizon} steps of {time_step:g} s need {chosen} gradient steps,"
                 " which take seconds"
@@ -386,7 +389,9 @@ class Settings(Struct, frozen=True):
         # A model with fewer steps takes its share of the seconds.
         known: dict[str, float] = {}
         for model in models:
-            steps = JOINT_STEPS if model.responds else STEPS
+            steps = NEWTON_STEPS.steps
+            if model.responds:
+                steps = NEWTON_STEPS.joint_steps
             if self.solver != "convex_newton":
                 steps = gradient_steps(self.planning)[0]
             seconds = model.seconds(base, steps)

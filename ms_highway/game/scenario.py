@@ -15,7 +15,7 @@ from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward, features_for, linear_reward
 from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
-from ms_highway.numerics.convex_newton import EASE
+from ms_highway.numerics.convex_newton import NEWTON_STEPS
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import (
     PAPER_PLANNING,
@@ -353,7 +353,8 @@ def build_game(
     if semantics == "physical" and grip is None:
         grip = GRIP * metre
     name = solver or scenario.solver
-    improves = _solver(name, planning, continues=bool(scenario.streams), ease=EASE)
+    continues = bool(scenario.streams)
+    improves = _solver(name, planning, continues, ease=NEWTON_STEPS.ease)
     planner = _planner(scene, plans, control_limit, grip, improves, planning.horizon)
 
     rewards = _humans(human, humans or scenario.humans)

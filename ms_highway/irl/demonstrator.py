@@ -19,7 +19,7 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game, bounded, constant_velocity, discomfort, move
 from ms_highway.game.scenario import COMMON_WEIGHTS
 from ms_highway.irl.recording import Controls, States
-from ms_highway.numerics.newton import Objective
+from ms_highway.numerics.objective import Objective
 from ms_highway.numerics.second_derivatives import damped_inverse
 from ms_highway.runtime.arrays import Flag, Index, Matrix, Scalar, Trajectory
 

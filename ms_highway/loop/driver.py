@@ -37,7 +37,7 @@ from ms_highway.loop.step import (
     begin,
     step,
 )
-from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.planning.plans import Plan
 from ms_highway.planning.way_out import Escape
@@ -324,7 +324,8 @@ class Driver:
         carry = begin(self.rule, self.game, state)
         after_first = np.ones((), np.int32)  # the first step may take less
         carry = carry._replace(memory=carry.memory._replace(step=after_first))
-        times = [timed(*self._choice_call(carry, state))[1] for _ in range(REPEATS)]
+        repeats = range(CompiledPlans.repeats)
+        times = [timed(*self._choice_call(carry, state))[1] for _ in repeats]
         return float(np.quantile(times, self.decision_quantile))
 
     def _choice_call(self, carry: GameCarry, now: State) -> tuple:

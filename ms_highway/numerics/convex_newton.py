@@ -1,23 +1,23 @@
-"""Climb by Newton steps whose result is a continuous function of the start, for plans
-of seconds.
+"""Climb by Newton steps whose result is a continuous function of the start.
 
-The curvature of the reward is made convex (`ms_highway.game.payoff`) and the trajectory
-is taken as linear (Gauss-Newton), so that every factorisation succeeds and no damping
-is searched for. The share of a step that is taken is at the top of the parabola with
-the slopes at both ends of the step: float32 resolves slopes where it loses the gain in
-rounding. Nothing is chosen among candidates, so that plans from similar starts are
-similar.
+They are for plans of seconds. The curvature of the reward is made convex
+(`ms_highway.game.payoff`) and the trajectory is taken as linear (Gauss-Newton), so that
+every factorisation succeeds and no damping is searched for. The share of a step that is
+taken is at the top of the parabola with the slopes at both ends of the step: float32
+resolves slopes where it loses the gain in rounding. Nothing is chosen among candidates,
+so that plans from similar starts are similar.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple, TypeVar
+from dataclasses import dataclass
+from typing import NamedTuple, TypeVar
 
 import jax
 from jax import numpy as jnp
 from jax.scipy.linalg import cho_solve
 from jaxtyping import Float, PyTree
 
-from ms_highway.numerics.newton import Objective
+from ms_highway.numerics.objective import Objective
 from ms_highway.numerics.second_derivatives import second_order_expansion
 from ms_highway.runtime.arrays import (
     Controls,
@@ -31,39 +31,46 @@ from ms_highway.runtime.arrays import (
 
 Point = TypeVar("Point", bound=PyTree)
 
-STEPS = 8
-JOINT_STEPS = 4
-"""Largest numbers of steps of a plan by default, see `until_still`: alone, and where
-others respond to each step.
 
-Steps to which others respond climb no single reward, and more of them are less steady.
-Measured in Dense Merge under theory of mind, for 95 % of 100 starts that are 10 um
-apart: two seconds later, they are within 0.73 mm of each other with four such steps,
-2.0 mm with six and 13 mm with eight. With naive plans of eight steps, they are within
-0.27 mm.
-"""
+@dataclass(frozen=True)
+class NewtonSteps:
+    """Set the number, the length and the end of Newton steps.
 
-EASE = 5.0
-"""Usual ease of `ms_highway.numerics.solvers.Newton`: braking by 4 m/s^2 costs 0.04 per
-step.
+    Three values were measured in Dense Merge under theory of mind, by how far starts
+    that are 10 um apart are from each other two seconds later, for 95 % of 100 starts.
+    """
 
-Measured in 60 starts of Dense Merge under theory of mind, with an earlier damping of
-10: 6.06 per step and 3 collisions at 2, 6.63 and none at 5, 6.33 and 1 at 10.
-"""
+    steps: int = 8
+    """Number of steps at most, where nobody responds to them. With naive plans of eight
+    steps, starts are within 0.27 mm.
+    """
+    joint_steps: int = 4
+    """Number of steps at most, where others respond to each of them. Such steps climb
+    no single reward, and more of them are less steady: starts are within 0.73 mm with
+    four of them, 2.0 mm with six and 13 mm with eight.
+    """
+    ease: float = 5.0
+    """Usual ease of `ms_highway.numerics.solvers.Newton` [reward per squared scaled
+    control]: braking by 4 m/s^2 costs 0.04 per step. In 60 starts of Dense Merge under
+    theory of mind, with an earlier damping of 10: 6.06 per step and 3 collisions at 2,
+    6.63 and none at 5, 6.33 and 1 at 10.
+    """
+    damping: float = 2.0
+    """Reward per squared scaled control: a step is short where nothing else bends the
+    reward. With four joint steps and an earlier cost of room to stop, starts are within
+    1.1 mm at 1.5, and within 1.5 mm at 1.
+    """
+    max_step: float = 1.0
+    """Largest norm of a step [scaled controls]: full braking for two seconds."""
+    tolerance: float = 1e-3
+    """Norm of a step that is not worth taking [scaled controls]."""
+    min_share: float = 0.05
+    """Share of a step that is taken at least."""
+    last_part: float = 0.1
+    """Part of a short step up to which it is the last one, see `until_still`."""
 
-DAMPING = 2.0
-"""Reward per squared scaled control: a step is short where nothing else bends the
-reward.
 
-Measured like the number of steps to which others respond, with four of them and an
-earlier cost of room to stop: starts are within 1.1 mm of each other two seconds later
-with a damping of 1.5, and within 1.5 mm with 1.
-"""
-
-MAX_STEP = 1.0  # norm of a step [scaled controls]: full braking for two seconds
-STEP_TOLERANCE = 1e-3  # norm of a step that is not worth taking [scaled controls]
-MIN_PART = 0.1  # of a step: if no more is taken, it is the last one
-MIN_SHARE = 0.05  # of a step at least
+NEWTON_STEPS = NewtonSteps()
 
 
 class Local(NamedTuple):
@@ -84,11 +91,11 @@ class Local(NamedTuple):
         return cho_solve((self.factor, True), vector)
 
     def step(self, gradient: Vector) -> Vector:
-        """Return ``C^-1 gradient``, shortened to `MAX_STEP`."""
+        """Return ``C^-1 gradient``, shortened to the largest step."""
         whole = self.solve(gradient)
-        return whole * jnp.minimum(
-            1.0, MAX_STEP / jnp.maximum(jnp.sqrt(jnp.sum(whole**2)), MAX_STEP)
-        )
+        longest = NEWTON_STEPS.max_step
+        norm = jnp.sqrt(jnp.sum(whole**2))
+        return whole * jnp.minimum(1.0, longest / jnp.maximum(norm, longest))
 
 
 def expand(
@@ -100,7 +107,7 @@ def expand(
     """Expand an objective around controls.
 
     With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k
-    there and the costs' second derivative D, ``C = sum_k J_k^T Q_k J_k + D + DAMPING
+    there and the costs' second derivative D, ``C = sum_k J_k^T Q_k J_k + D + damping
     I``.
 
     Args:
@@ -124,35 +131,35 @@ def expand(
         objective.cost,
         objective.jacobian(controls),
     )
-    curvature = DAMPING * jnp.eye(controls.size) - hessian
-    return Local(
-        gradient, jnp.linalg.cholesky(curvature, symmetrize_input=False), jacobian
-    )
+    curvature = NEWTON_STEPS.damping * jnp.eye(controls.size) - hessian
+    factor = jnp.linalg.cholesky(curvature, symmetrize_input=False)
+    return Local(gradient, factor, jacobian)
 
 
-def share(slope: Scalar, after: Scalar) -> Scalar:
-    """Return the share of a step at the top of the parabola that has the step's slopes
-    at both ends.
+def share(slope: Scalar, after: Scalar) -> jax.Array:
+    """Return the share of a step at the top of a parabola with its slopes at both ends.
 
     With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least
-    `MIN_SHARE` and at most 1; it is 1 where the reward still rises at the end. NaN
-    where g is not finite, so that the plan fails and says so.
+    `NewtonSteps.min_share` and at most 1; it is 1 where the reward still rises at the
+    end. NaN where g is not finite, so that the plan fails and says so.
 
     Args:
         slope: derivative of the reward along the whole step, at its start.
         after: the same at its end.
     """
+    least = NEWTON_STEPS.min_share
     climbs = jnp.maximum(slope, 0.0)
-    top = jnp.where(after < 0, climbs / (climbs - jnp.minimum(after, -1e-9)), 1.0)
-    top = jnp.where(jnp.isfinite(after), jnp.maximum(top, MIN_SHARE), MIN_SHARE)
+    falls = jnp.minimum(after, -1e-9)  # no division by 0
+    top = jnp.where(after < 0, climbs / (climbs - falls), 1.0)
+    top = jnp.where(jnp.isfinite(after), jnp.maximum(top, least), least)
     return jnp.where(jnp.isfinite(slope), top, jnp.nan)
 
 
 def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
     """Return controls after a step, projected on the limits.
 
-    At least `MIN_SHARE` of a step is taken; where that leads beyond a wall of the
-    reward, controls may earn less for a step.
+    At least `NewtonSteps.min_share` of a step is taken; where that leads beyond a wall
+    of the reward, controls may earn less for a step.
 
     Args:
         objective: to climb.
@@ -160,23 +167,24 @@ def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
         local: the objective around them.
     """
     whole = local.step(local.gradient).reshape(controls.shape)
-    tried = objective.bounded(controls + whole)
-    step = tried - controls
-    after = objective.gain(tried, step)
-    return objective.bounded(
-        controls + share(local.gradient @ step.ravel(), after) * whole
-    )
+
+    # The slopes at both ends of the step that the limits leave.
+    full_step = objective.bounded(controls + whole)
+    step = full_step - controls
+    after = objective.gain(full_step, step)
+    part = share(local.gradient @ step.ravel(), after)
+    return objective.bounded(controls + part * whole)
 
 
 def until_still(
     step: Callable[[Index, Point], Point],
     start: Point,
     most: Index,
-    controls: Callable[[Point], Any],
+    controls: Callable[[Point], PyTree],
 ) -> tuple[Point, Index, Flag]:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between `STEP_TOLERANCE` and twice that is taken in part, a
+    A step whose norm is between the tolerance and twice that is taken in part, a
     shorter one not at all. So a similar start that takes one step more or less ends in
     nearly the same point.
 
@@ -196,22 +204,26 @@ def until_still(
     ) -> tuple[Point, jax.Array, jax.Array]:
         before, _, number = now
         after = step(number, before)
-        change = jax.tree.map(jnp.subtract, after, before)
-        norm = jnp.sqrt(
-            sum(jnp.sum(part**2) for part in jax.tree.leaves(controls(change)))
-        )
-        part = jnp.clip(norm / STEP_TOLERANCE - 1, 0.0, 1.0)
 
-        def partial_step(old: Any, new: Any, moved: Any) -> Any:
-            return jnp.where(part < 1, old + part * moved, new)
+        # The part to take, by the norm of the step.
+        change = jax.tree.map(jnp.subtract, after, before)
+        moved = jax.tree.leaves(controls(change))
+        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in moved))
+        part = jnp.clip(norm / NEWTON_STEPS.tolerance - 1, 0.0, 1.0)
+
+        # A whole step ends exactly after it.
+        def partial_step(
+            old: jax.Array, new: jax.Array, difference: jax.Array
+        ) -> jax.Array:
+            return jnp.where(part < 1, old + part * difference, new)
 
         point = jax.tree.map(partial_step, before, after, change)
         return point, part, number + 1
 
-    def goes_on(now: tuple[Point, jax.Array, jax.Array]) -> Flag:
+    def goes_on(now: tuple[Point, jax.Array, jax.Array]) -> jax.Array:
         _, part, number = now
-        return (part > MIN_PART) & (number < most)
+        return (part > NEWTON_STEPS.last_part) & (number < most)
 
     first = (start, jnp.ones(()), jnp.zeros((), int))
     point, part, number = jax.lax.while_loop(goes_on, go, first)
-    return point, number, part <= MIN_PART
+    return point, number, part <= NEWTON_STEPS.last_part

@@ -1,21 +1,24 @@
-"""Estimate parameters from data: the minimum of a loss, and the covariance of the
-estimate.
-"""
+"""Estimate parameters from data: the minimum of a loss, and their covariance."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 from scipy import optimize
 
-Parameters = Float[Any, "parameters"]
-Matrix = Float[Any, "parameters parameters"]
+from ms_highway.runtime.arrays import Scalar
+
+Parameters: TypeAlias = Float[Any, "parameters"]  # of NumPy or JAX
+Matrix: TypeAlias = Float[np.ndarray, "parameters parameters"]
 
 
 def minimum(
-    loss: Callable[..., Any], first: Parameters, *arguments: Any, **options: Any
-) -> Parameters:
+    loss: Callable[..., tuple[Scalar, Parameters]],
+    first: Parameters,
+    *arguments: object,
+    **options: object,
+) -> np.ndarray:
     """Return the parameters at which a loss is least, by L-BFGS.
 
     Args:
@@ -26,19 +29,23 @@ def minimum(
         options: of `scipy.optimize.minimize`.
     """
 
-    def value(parameters: Parameters) -> tuple[float, Parameters]:
+    def value(parameters: np.ndarray) -> tuple[float, np.ndarray]:
         found, slope = loss(parameters, *arguments)
         return float(found), np.asarray(slope, dtype=float)
 
-    return optimize.minimize(
+    result = optimize.minimize(
         value, first, jac=True, method="L-BFGS-B", options=options
-    ).x
+    )
+    return result.x
 
 
 def slope_differences(
-    slope: Callable[[Parameters], Any], parameters: Parameters, step: float
+    slope: Callable[[Parameters], Parameters], parameters: Parameters, step: float
 ) -> Matrix:
-    """Return second derivatives by central differences of a slope, a row per parameter."""
+    """Return second derivatives by central differences of a slope.
+
+    There is a row per parameter.
+    """
     steps = step * np.eye(len(parameters))
     rows = [
         np.asarray(slope(parameters + each)) - np.asarray(slope(parameters - each))
@@ -52,18 +59,16 @@ def grouped_covariance(
     scores: Float[np.ndarray, "n parameters"],
     groups: Int[np.ndarray, "n"],
 ) -> Matrix:
-    """Return the covariance of estimates from groups of data that depend on each other
-    (Huber 1967).
+    """Return the covariance of estimates from groups of data (Huber 1967).
 
-    With the score s_i, the slope of the loss over all data of group i, it is ``B sum_i
-    s_i s_i^T B``.
+    Data of a group depend on each other. With the score s_i, the slope of the loss over
+    all data of group i, it is ``B sum_i s_i s_i^T B``.
 
     Args:
         inverse: B, of the loss's Hessian.
         scores: slopes of each datum's part of the loss.
         groups: that the data belong to.
     """
-    summed = np.stack(
-        [scores[groups == group].sum(axis=0) for group in np.unique(groups)]
-    )
+    sums = [scores[groups == group].sum(axis=0) for group in np.unique(groups)]
+    summed = np.stack(sums)  # [groups, parameters]
     return inverse @ (summed.T @ summed) @ inverse

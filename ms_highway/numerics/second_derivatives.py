@@ -1,5 +1,6 @@
-"""Differentiate a trajectory's reward twice in the controls, and compute steps and
-responses from the Hessian.
+"""Differentiate a trajectory's reward twice in the controls.
+
+Steps and responses follow from the Hessian.
 """
 
 from collections.abc import Callable
@@ -51,11 +52,10 @@ def second_order_expansion(
     cost: Callable[[Controls], Scalar],
     jacobian: Float[jax.Array, "fields steps n"] | None = None,
 ) -> Expansion:
-    """Return gradient and Hessian in the controls, by the chain rule, of a sum over
-    steps, less a cost.
+    """Return gradient and Hessian in the controls of a sum over steps, less a cost.
 
-    With s_k the motion at step k, ``J_k = ds_k / du``, and g_k and Q_k the reward's
-    gradient and Hessian at s_k::
+    By the chain rule, with s_k the motion at step k, ``J_k = ds_k / du``, and g_k and
+    Q_k the reward's gradient and Hessian at s_k::
 
         gradient = sum_k J_k^T g_k;  H = sum_k J_k^T Q_k J_k + sum_k g_k d2s_k / du2
 
@@ -76,23 +76,31 @@ def second_order_expansion(
     def ravelled(controls: Vector) -> Trajectory:
         return path(controls.reshape(-1, 2))
 
+    def pulled_back(controls: Vector) -> Vector:
+        """Return ``sum_k J_k^T g_k`` at other controls, with the same g."""
+        _, pull_back = jax.vjp(ravelled, controls)
+        (gradient,) = pull_back(slope)
+        return gradient
+
     point = controls.ravel()
-    linear = jacobian is not None
+    is_linear = jacobian is not None
     if jacobian is None:
         jacobian = trajectory_jacobian(path, controls)
-    flat = jacobian.reshape(-1, point.size)
+
+    # The gradient, and the Hessian of the reward along a linear trajectory.
+    flat = jacobian.reshape(-1, point.size)  # [fields * steps, n]
     bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
     gradient = slope.ravel() @ flat
     hessian = flat.T @ bent.reshape(-1, point.size)
-    if not linear:
-        hessian += jax.jacfwd(
-            lambda controls: jax.vjp(ravelled, controls)[1](slope)[0]
-        )(point)
-    # Of a sum over controls, the derivative along all of them at once is the diagonal
-    # of the Hessian.
-    marginal, diagonal = jax.jvp(
-        jax.grad(cost), (controls,), (jnp.ones_like(controls),)
-    )
+
+    # The curvature of the trajectory itself.
+    if not is_linear:
+        hessian += jax.jacfwd(pulled_back)(point)
+
+    # The cost: of a sum over controls, the derivative along all of them at once is the
+    # diagonal of the Hessian.
+    everywhere = jnp.ones_like(controls)
+    marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (everywhere,))
     return Expansion(
         gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian
     )
@@ -101,25 +109,28 @@ def second_order_expansion(
 def along_fields(
     function: Callable[[jax.Array], Result], steps: jax.Array
 ) -> tuple[Result, Result]:
-    """Return a function of trajectories and its derivatives in each field [fields,
-    *value].
+    """Return a function of trajectories and its derivatives in each field.
 
-    The value at each step may depend only on the fields at this step, so that one
-    direction per field serves all steps.
+    They have a first axis of fields. The value at each step may depend only on the
+    fields at this step, so that one direction per field serves all steps.
     """
-    each = jnp.eye(len(steps)).reshape(len(steps), len(steps), *[1] * (steps.ndim - 1))
-    directions = jnp.broadcast_to(each, (len(steps), *steps.shape))
-    along = jax.vmap(
-        lambda direction: jax.jvp(function, (steps,), (direction,)), out_axes=(None, 0)
-    )
-    return along(directions)
+    fields = len(steps)
+    unit = jnp.eye(fields).reshape(fields, fields, *[1] * (steps.ndim - 1))
+    directions = jnp.broadcast_to(unit, (fields, *steps.shape))
+
+    def along(direction: jax.Array) -> tuple[Result, Result]:
+        return jax.jvp(function, (steps,), (direction,))
+
+    return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
 def response(
     influence: Influence, hessian: Matrix, vector: Float[jax.Array, "n *columns"]
 ) -> Float[jax.Array, "n *columns"]:
-    """Compute ``-H^-1 vector``: how the optimum of a reward with Hessian H moves if its
-    gradient changes by ``vector``.
+    """Compute ``-H^-1 vector``, how an optimum moves if the gradient changes.
+
+    H is the Hessian of a reward at its optimum, and ``vector`` the change of its
+    gradient.
 
     * ``exact`` takes H as it is, like the paper and its released code. Before
       convergence, H may be indefinite or singular; the response is then arbitrary or
@@ -133,8 +144,9 @@ def response(
 
 
 def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
-    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``:
-    positive definite, so steps ascend.
+    """Compute ``-H^-1`` with H's eigenvalues l replaced by ``-max(|l|, floor)``.
+
+    It is positive definite, so that steps ascend.
     """
     values, vectors = jnp.linalg.eigh(hessian)
     return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
@@ -158,21 +170,25 @@ def floored(
 def _floored_jvp(
     primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
 ) -> tuple[jax.Array, jax.Array]:
-    (symmetric, floor), (change, of_floor) = primals, tangents
+    symmetric, floor = primals
+    change, floor_change = tangents
     values, vectors = jnp.linalg.eigh(symmetric)
-    high = values > floor
-    above = jnp.where(high, values, floor)[:, None]
-    below = jnp.where(high, floor - 1.0, values)[None, :]
-    mixed = (above - floor) / (above - below)
-    one_of_two = high[:, None] ^ high[None, :]
-    shares = jnp.where(
-        one_of_two,
-        jnp.where(high[:, None], mixed, mixed.T),
-        high[:, None] & high[None, :],
-    )
+    is_high = values > floor
+
+    # Divided differences F_ij = (max(l_i, floor) - max(l_j, floor)) / (l_i - l_j): 1
+    # for two high eigenvalues, 0 for two low ones, which may be equal. For one of each,
+    # stand-ins for the other kind keep the division finite.
+    high = jnp.where(is_high, values, floor)[:, None]
+    low = jnp.where(is_high, floor - 1.0, values)[None, :]
+    high_and_low = (high - floor) / (high - low)
+    either = jnp.where(is_high[:, None], high_and_low, high_and_low.T)
+    one_of_two = is_high[:, None] ^ is_high[None, :]
+    both_high = is_high[:, None] & is_high[None, :]
+    differences = jnp.where(one_of_two, either, both_high)
+
+    # V (F * (V^T dA V)) V^T, and the change of the floor itself.
     turned = vectors.T @ change @ vectors
-    back = (
-        vectors @ (shares * turned) @ vectors.T
-        + of_floor * (vectors * ~high) @ vectors.T
-    )
-    return (vectors * jnp.maximum(values, floor)) @ vectors.T, back
+    by_matrix = vectors @ (differences * turned) @ vectors.T
+    by_floor = floor_change * (vectors * ~is_high) @ vectors.T
+    value = (vectors * jnp.maximum(values, floor)) @ vectors.T
+    return value, by_matrix + by_floor

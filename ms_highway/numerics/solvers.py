@@ -7,26 +7,48 @@ A solver is an object with its own numbers. It repeats a step of
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import ClassVar, Generic, Literal, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import PyTree
 
-from ms_highway.numerics.convex_newton import (
-    JOINT_STEPS,
-    STEP_TOLERANCE,
-    STEPS,
-    Point,
-    until_still,
-)
+from ms_highway.numerics.convex_newton import NEWTON_STEPS, Point, until_still
 from ms_highway.runtime.arrays import Control, Flag, Index, Scalar
 
 SolverName: TypeAlias = Literal["gradient", "convex_newton"]
 """Names of `Ascent` and `Newton` in configurations."""
 
 
-class Repeated(NamedTuple):
+@dataclass(frozen=True)
+class GradientSteps:
+    """Set the number and the size of gradient steps; the scenes are the paper's."""
+
+    paper_number: int = 20
+    """Number of steps of a plan in the paper."""
+    paper_size: float = 0.03
+    """Length of these steps per unit of gradient."""
+    counted_size: float = 0.1
+    """Length of the steps of a model with its own number of them. The reward of a plan
+    depends on the summed length of its steps: 6 of them earn as much as the paper's 20,
+    and more of them earn more. At the paper's horizon, some plans overshoot and collide
+    from 0.15 on.
+    """
+    share_of_longest: float = 0.6
+    """Share of the `longest_step` that plans take where the wanted step is longer."""
+    steepest_weight: float = 1000.0
+    """Largest weight on a squared lateral distance [1 / length unit^2]."""
+    paper_speed: float = 0.6
+    """The paper's speed limit [length units per second]."""
+    max_number: int = 5000
+    """Largest number of steps of a plan: more take seconds."""
+
+
+GRADIENT_STEPS = GradientSteps()
+
+
+class Repeated(NamedTuple, Generic[Point]):
     """Result of a repeated step.
 
     Attributes:
@@ -35,7 +57,7 @@ class Repeated(NamedTuple):
         converged: whether the last one hardly moved the controls.
     """
 
-    point: Any
+    point: Point
     steps: Index
     converged: Flag
 
@@ -65,14 +87,15 @@ class Ascent:
     def with_steps(self, number: int, longest: Scalar) -> "Ascent":
         """Return the solver with its own number of steps, as long as is safe.
 
-        A step is `COUNTED_STEP` long or, if that is shorter, `STEP_SHARE` of the
-        longest step.
+        A step has the counted size of `GradientSteps` or, if that is shorter, its
+        share of the longest step.
 
         Args:
             number: of steps.
             longest: step that does not overshoot, see `longest_step`.
         """
-        length = jnp.minimum(COUNTED_STEP, STEP_SHARE * longest)
+        most = GRADIENT_STEPS.share_of_longest * longest
+        length = jnp.minimum(GRADIENT_STEPS.counted_size, most)
         return replace(self, iterations=number, step_size=length)
 
     def of_human(self) -> "Ascent":
@@ -84,8 +107,8 @@ class Ascent:
         step: Callable[[Index, Point], Point],
         start: Point,
         most: Index,
-        controls: Callable[[Point], Any],
-    ) -> Repeated:
+        controls: Callable[[Point], PyTree],
+    ) -> Repeated[Point]:
         """Repeat a step a number of times.
 
         Args:
@@ -104,7 +127,7 @@ class Ascent:
             return after, squared
 
         point, squared = jax.lax.fori_loop(0, most, go, (start, jnp.float32(jnp.inf)))
-        return Repeated(point, most, squared < STEP_TOLERANCE**2)
+        return Repeated(point, most, squared < NEWTON_STEPS.tolerance**2)
 
 
 @jax.tree_util.register_dataclass
@@ -125,8 +148,10 @@ class Newton:
     """
 
     ease: Scalar = 0.0
-    steps: int = field(default=STEPS, metadata={"static": True})
-    joint_steps: int = field(default=JOINT_STEPS, metadata={"static": True})
+    steps: int = field(default=NEWTON_STEPS.steps, metadata={"static": True})
+    joint_steps: int = field(
+        default=NEWTON_STEPS.joint_steps, metadata={"static": True}
+    )
     continues: bool = field(default=False, metadata={"static": True})
     smooth: ClassVar[bool] = True
 
@@ -151,8 +176,8 @@ class Newton:
         step: Callable[[Index, Point], Point],
         start: Point,
         most: Index,
-        controls: Callable[[Point], Any],
-    ) -> Repeated:
+        controls: Callable[[Point], PyTree],
+    ) -> Repeated[Point]:
         """Repeat a step until it hardly moves the controls, see `Ascent.repeat`."""
         return Repeated(*until_still(step, start, most, controls))
 
@@ -183,27 +208,7 @@ class Planner:
     horizon: int = field(default=5, metadata={"static": True})
 
 
-# Number and size of gradient steps; the constants are those of the paper's scenes
-
-MAX_ITERATIONS = 5000
-"""Upper bound on the gradient steps of a plan; more take seconds."""
-
-COUNTED_STEP = 0.1
-"""Length of the steps of a model with its own number of them.
-
-The reward of a plan depends on the summed length of its steps: 6 of them earn as much
-as the paper's 20 of 0.03, and more of them earn more. At the paper's horizon, some
-plans overshoot and collide from 0.15 on.
-"""
-
-PAPER_STEPS = 20, 0.03  # number and size
-STEP_SHARE = 0.6
-"""Share of the `longest_step` that plans take where the wanted step is longer."""
-
-# the largest weight on a squared lateral distance in the paper's scenes [1 / length
-# unit^2]
-STEEPEST = 1000.0
-SPEED = 0.6  # the paper's speed limit [length units per second]
+# Number and size of gradient steps
 
 
 @dataclass(frozen=True)
@@ -230,28 +235,32 @@ class PlanningSettings:
 
 
 PAPER_PLANNING = PlanningSettings()
-"""The paper's: half a second ahead, in `PAPER_STEPS`."""
+"""The paper's: half a second ahead, in its gradient steps."""
 
 
 @cache
 def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
-    """Return the number and the size of a plan's gradient steps, chosen where the
-    settings leave them open.
+    """Return the number and the size of a plan's gradient steps.
+
+    They are chosen where the settings leave them open.
 
     The step size is the paper's 0.03 or, if that is shorter, 0.6 of the `longest_step`.
     The number of steps times their size is that of the paper, 20 times 0.03, but there
     are at least 20 steps. With time steps of 0.1 s, these are 20 steps of 0.03 up to K
     = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
-    number, size = PAPER_STEPS
+    number = GRADIENT_STEPS.paper_number
+    size = GRADIENT_STEPS.paper_size
     longest = float(longest_step(planning.horizon, planning.time_step))
-    length = planning.step_size or min(size, STEP_SHARE * longest)
+    most = GRADIENT_STEPS.share_of_longest * longest
+    length = planning.step_size or min(size, most)
     return planning.iterations or max(number, round(number * size / length)), length
 
 
 def longest_step(horizon: int, time_step: Scalar) -> Scalar:
-    """Return the longest gradient step that does not overshoot the optimum of the
-    paper's steepest feature.
+    """Return the longest gradient step that does not overshoot an optimum.
+
+    It is the optimum of the paper's steepest feature.
 
     To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at
     step k. With s the largest singular value of this matrix, the curvature of ``-w
@@ -262,7 +271,10 @@ def longest_step(horizon: int, time_step: Scalar) -> Scalar:
         horizon: number of planned controls.
         time_step: dt [s]; JAX may trace it.
     """
+    # dy_k / du_j per dt^2 [horizon, horizon], and its largest singular value.
     steps = np.arange(horizon)
-    moved = SPEED * np.maximum(np.subtract.outer(steps, steps), 0)  # per dt^2
-    steepest = 2 * STEEPEST * float(np.linalg.norm(moved, 2)) ** 2
+    delays = np.maximum(np.subtract.outer(steps, steps), 0)
+    singular_value = float(np.linalg.norm(GRADIENT_STEPS.paper_speed * delays, 2))
+
+    steepest = 2 * GRADIENT_STEPS.steepest_weight * singular_value**2
     return (1 / steepest if steepest > 0 else np.inf) / time_step**4

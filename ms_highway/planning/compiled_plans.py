@@ -1,9 +1,12 @@
-"""Plan with a human model for each human, by functions that are compiled once, called
-with few arguments, and timed.
+"""Plan with a human model for each human, by functions that are compiled once.
+
+`plan_for` is the pure function, and `CompiledPlans` calls and times it. `plan` is for
+users.
 """
 
 from collections.abc import Sequence
 from functools import cache, partial
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -23,7 +26,7 @@ from ms_highway.planning.human_models import (
     warn_of_limits,
     within,
 )
-from ms_highway.planning.joint import joint_ascent
+from ms_highway.planning.joint import joint_ascent, plan_against
 from ms_highway.planning.ladders import human_model
 from ms_highway.planning.plans import Plan, Solution, cold_start
 from ms_highway.planning.responders import (
@@ -61,16 +64,15 @@ def plan_for(
     rungs: Rungs | None,
     start: Plan | None = None,
 ) -> Solution:
-    """Plan with a model for each human; all controls keep to
-    `ms_highway.game.game.bounded`.
+    """Plan with a model for each human.
+
+    All controls keep to `ms_highway.game.game.bounded`.
 
     A single model is known before the call, so that the program holds only what it
-    needs.
-
-    With several models, one program plans under all assignments. For each model that
-    predicts, a loop takes one round for every human on it. In each step of the ascent,
-    a loop takes one round for every responding human. So the time of a plan is a sum
-    over the humans.
+    needs. With several models, one program plans under all assignments: for each model
+    that predicts, a loop takes one round for every human on it; in each step of the
+    ascent, a loop takes one round for every responding human. So the time of a plan is
+    a sum over the humans.
 
     Args:
         models: human models.
@@ -82,33 +84,48 @@ def plan_for(
     if start is None:
         start = cold_start(game, state)
     last = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
-    begin = last
     rungs = None if len(models) == 1 else rungs
-    expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
 
-    # A model starts the plans of responding humans, or it predicts the controls of the
-    # others.
+    # A model either predicts the controls of its humans, who keep to them, or lets its
+    # humans respond, perhaps from a start of its own.
+    expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
+    begin = last
     for rung, model in enumerate(models):
         chosen = None if rungs is None else jnp.asarray(rungs) == rung
-        if model.responds:
-            if type(model).start is not HumanModel.start:
-                begin = _started(model, chosen, game, state, last, begin)
-        elif type(model) is not Naive:
-            expected = _predicted(model, chosen, game, state, last, expected)
+        if model.responds and type(model).start is not HumanModel.start:
+            begin = _with_own_starts(model, chosen, game, state, last, begin)
+        if not model.responds and type(model) is not Naive:
+            expected = _with_predictions(model, chosen, game, state, last, expected)
 
     if rungs is None:
         (model,) = models
-        humans = begin.humans if model.responds else expected
-        known = KnownResponders(tuple(range(game.number)) if model.responds else ())
-        own = within(model, game)
-        return joint_ascent(Interaction(own, state, known), Plan(begin.robot, humans))
+        return _plan_for_one(model, game, state, begin, expected)
     responders = assigned_responders(models, game, rungs)
     responds = responders.steps > 0
     humans = jnp.where(responds[:, None, None], begin.humans, expected)
     return joint_ascent(Interaction(game, state, responders), Plan(begin.robot, humans))
 
 
-def _predicted(
+def _plan_for_one(
+    model: HumanModel, game: Game, state: State, begin: Plan, expected: HumansControls
+) -> Solution:
+    """Plan with the same model for all humans, known before the call.
+
+    Args:
+        model: of all humans.
+        game: that is played.
+        state: all cars now.
+        begin: scaled plan from which the robot starts, and humans who respond.
+        expected: scaled controls of humans who do not respond.
+    """
+    own_game = within(model, game)
+    if model.responds:
+        everybody = KnownResponders(tuple(range(game.number)))
+        return joint_ascent(Interaction(own_game, state, everybody), begin)
+    return plan_against(own_game, state, expected, begin)
+
+
+def _with_predictions(
     model: HumanModel,
     chosen: Bool[Array, "humans"] | None,
     game: Game,
@@ -116,8 +133,9 @@ def _predicted(
     start: Plan,
     expected: HumansControls,
 ) -> HumansControls:
-    """Predict the chosen humans by a model, each in the game of the robot with this
-    human alone.
+    """Return expected controls, those of the chosen humans predicted by a model.
+
+    It predicts each human in the game of the robot with this human alone.
 
     Args:
         model: that predicts.
@@ -129,21 +147,19 @@ def _predicted(
     """
 
     def predict(human: Index) -> Controls:
-        begin = None
-        if (
-            not game.planner.solver.smooth
-        ):  # plans up a smooth reward find their own start
+        begin = None  # plans up a smooth reward find their own start
+        if not game.planner.solver.smooth:
             begin = Plan(start.robot, start.humans[human][None])
         return scaled_prediction(model, *pair(game, state, human), begin)
 
     if chosen is None:
         return for_numbers(game.number, predict)
     return for_each(
-        chosen, lambda human, all_of: all_of.at[human].set(predict(human)), expected
+        chosen, lambda human, humans: humans.at[human].set(predict(human)), expected
     )
 
 
-def _started(
+def _with_own_starts(
     model: HumanModel,
     chosen: Bool[Array, "humans"] | None,
     game: Game,
@@ -151,8 +167,7 @@ def _started(
     last: Plan,
     start: Plan,
 ) -> Plan:
-    """Replace the start of a plan by a model's own start, for the chosen humans and the
-    robot.
+    """Return a start, replaced by a model's own for the chosen humans and the robot.
 
     The robot takes the model's start for the first chosen human.
 
@@ -183,20 +198,19 @@ def _started(
 def assigned_responders(
     models: tuple[HumanModel, ...], game: Game, rungs: Rungs
 ) -> AssignedResponders:
-    """Return the responding humans under an assignment of models, and the steps of all
-    cars.
+    """Return the responding humans under an assignment, and the steps of all cars.
 
     Each human takes the steps of its own model. The robot takes those of the model in
     use with the most steps; where somebody responds, of the models that respond.
     """
     solvers = [own_solver(model, game) for model in models]
+    joint = [solver.most_steps(responds=True) for solver in solvers]
+    alone = [solver.most_steps(responds=False) for solver in solvers]
+
+    # By human.
     responds = jnp.array([model.responds for model in models])[rungs]
-    joint_steps = _of_rungs(
-        [solver.most_steps(responds=True) for solver in solvers], rungs
-    )
-    steps_alone = _of_rungs(
-        [solver.most_steps(responds=False) for solver in solvers], rungs
-    )
+    joint_steps = _of_rungs(joint, rungs)
+    steps_alone = _of_rungs(alone, rungs)
 
     # Humans with more steps come first. The robot takes as many steps as the first of
     # them.
@@ -204,38 +218,39 @@ def assigned_responders(
     order = jnp.argsort(-steps, stable=True)
     longest = steps.max()
     robot_steps = jnp.where(longest > 0, longest, jnp.max(steps_alone))
-    own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
-    if not own_sizes or all(solver is game.planner.solver for solver in solvers):
-        return AssignedResponders(order, steps, robot_steps)
 
     # Each human's gradient steps have the length of its model, the robot's that of the
     # leading model.
+    own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
+    if not own_sizes or all(solver is game.planner.solver for solver in solvers):
+        return AssignedResponders(order, steps, robot_steps)
     sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])[rungs]
     leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
     return AssignedResponders(order, steps, robot_steps, sizes, sizes[leading])
 
 
 def _of_rungs(values: Sequence[int], rungs: Rungs) -> Int[Array, "humans"] | int:
-    """Return the value of each human's rung; a number if it is the same for all rungs."""
+    """Return the value of each human's rung; one number if all rungs have the same."""
     if len({*values}) == 1:
         return values[0]
     return jnp.array(values)[rungs]
 
 
-REPEATS = 20  # of timed plans and decisions
-
-
 class CompiledPlans:
-    """Plan in a game with the models of a ladder, compiled once for all games of the
-    same shapes.
+    """Plan in a game with the models of a ladder.
 
-    With one human, each model has a function of its own; among several, one serves all
-    assignments.
+    Plans are compiled once for all games of the same shapes. With one human, each model
+    has a function of its own; among several, one serves all assignments.
 
     Args:
         game: may differ in numbers from the games that it was compiled for.
         ladder: human models.
+
+    Attributes:
+        repeats: number of times that plans and decisions are timed (constant).
     """
+
+    repeats: ClassVar[int] = 20
 
     def __init__(self, game: Game, ladder: Sequence[HumanModel]) -> None:
         self.game = game
@@ -248,11 +263,10 @@ class CompiledPlans:
     def plan(
         self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
     ) -> tuple[Solution, float]:
-        """Return the solution in a `checked_state`, as NumPy arrays, and the seconds
-        that it took.
+        """Return the solution, as NumPy arrays, and the seconds that it took.
 
         Args:
-            state: all cars now.
+            state: all cars now, a `checked_state`.
             rungs: of every human.
             start: scaled plan to improve; by default,
                 `ms_highway.planning.plans.cold_start`.
@@ -264,24 +278,25 @@ class CompiledPlans:
     def call(
         self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
     ) -> tuple:
-        """Return the compiled function of a plan, see `plan_function`, and its
-        arguments.
-        """
+        """Return the compiled `plan_function` of a plan, and its arguments."""
         # Plans that may continue have one program, which takes a start in any case.
         if start is None and self._continues:
             start = cold_start(self.game, np.asarray(state))
 
-        # Numbers that the program does not need would only take time.
+        # A program of one model does not take the rungs: passing them takes time.
         models = self.ladder
         if self._function_of_each:
             models = (self.ladder[int(rungs[0])],)
-        places = np.asarray(rungs, np.int32) if len(models) > 1 else None
-        arguments = self._placed.take(), state, places, start
+        traced_rungs = np.asarray(rungs, np.int32) if len(models) > 1 else None
+        arguments = (self._placed.take(), state, traced_rungs, start)
         return plan_function(models).of(*arguments), *arguments
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
-        """Compile and run what has not run before: plans and, if wanted, the way out;
-        return the seconds spent.
+        """Compile and run what has not run before; return the seconds spent.
+
+        Args:
+            state: all cars now.
+            way_out: whether to warm up the way out beside the plans.
         """
         check_own_features(self.game.scene, self.game.robot, self.game.number, state)
         warn_of_limits(self.ladder, self.game, state)
@@ -291,18 +306,17 @@ class CompiledPlans:
         assignments = [[rung] * self.game.number for rung in range(functions)]
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
         if way_out:
-            seconds += warm_up(
-                escape, self._placed.take(), state, np.zeros(2, np.float32)
-            )
+            control = np.zeros(2, np.float32)
+            seconds += warm_up(escape, self._placed.take(), state, control)
         return seconds
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
-        """Return the result of `ms_highway.planning.way_out.keep_way_out`, and the
-        seconds that it took.
+        """Return the result of `keep_way_out`, and the seconds that it took.
+
+        See `ms_highway.planning.way_out.keep_way_out`.
         """
-        found, seconds = timed(
-            escape, self._placed.take(), state, np.asarray(control, np.float32)
-        )
+        planned = np.asarray(control, np.float32)
+        found, seconds = timed(escape, self._placed.take(), state, planned)
         return Escape(*map(np.asarray, found)), seconds
 
 
@@ -311,16 +325,14 @@ escape = jit_quickly(keep_way_out)
 
 @cache
 def plan_function(models: tuple[HumanModel, ...]) -> Compiled:
-    """Compile `ms_highway.planning.compiled_plans.plan_for` once for these models,
-    whatever the game's numbers.
-    """
+    """Compile `plan_for` once for these models, whatever the game's numbers."""
     return jit_quickly(partial(plan_for, models))
 
 
 def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
-    """Plan in one situation: return the robot's controls [steps, 2], and the controls
-    that it expects of the humans.
+    """Plan in one situation: return controls of the robot, and those it expects.
 
+    They are arrays [steps, 2] of the robot and [humans, steps, 2] of the humans.
     Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the
     paper's friction, 4 m/s^2 keep 20 m/s. Compiled once for all games of the same
     shapes.
@@ -357,8 +369,9 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
 
 
 def checked_state(state: State) -> State:
-    """Convert a state to single precision without whole turns in headings, by NumPy,
-    which is faster than JAX.
+    """Convert a state to single precision without whole turns in headings.
+
+    NumPy does so faster than JAX.
 
     Raises:
         ValueError: if it is not a finite array [cars, 4] of two cars or more, in that
@@ -371,13 +384,14 @@ def checked_state(state: State) -> State:
             f" got {state.shape}"
         )
     with np.errstate(over="ignore", invalid="ignore"):
-        single = facing(state).astype(np.float32)
-    if not np.isfinite(single).all():
-        car, column = np.argwhere(~np.isfinite(single))[0]
-        value = state[car, column]
-        name = ["x", "y", "heading", "speed"][column]
-        why = ", too large for single precision" if np.isfinite(value) else ""
-        raise ValueError(
-            f"the state of car {car} is not finite: {name} is {value}{why}"
-        )
-    return single
+        converted = facing(state).astype(np.float32)
+    is_finite = np.isfinite(converted)
+    if is_finite.all():
+        return converted
+
+    # The first wrong number: it may be finite in double precision.
+    car, column = np.argwhere(~is_finite)[0]
+    value = state[car, column]
+    name = ["x", "y", "heading", "speed"][column]
+    why = ", too large for single precision" if np.isfinite(value) else ""
+    raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")

@@ -1,17 +1,15 @@
-"""Say what planning time costs: T(M) of every human model, and of plans that predict
-humans by them.
-"""
+"""Say what planning time costs: T(M) of every model, and of plans by them."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import jax
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ms_highway.game.game import Game
-from ms_highway.planning.compiled_plans import REPEATS, CompiledPlans, checked_state
+from ms_highway.geometry.curve import namespace
+from ms_highway.planning.compiled_plans import CompiledPlans, checked_state
 from ms_highway.planning.human_models import HumanModel
 from ms_highway.runtime.arrays import Array, Scalar, State
 from ms_highway.runtime.process import refuse_after_fork
@@ -65,27 +63,34 @@ class Costs:
         }
 
     def select(self, names: Iterable[str]) -> "Costs":
-        """Return the costs of these models in this order, NaN where they are unknown."""
+        """Return the costs of these models in this order, NaN where unknown."""
         wanted = tuple(names)
-        known = dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
+        known = self._each_by_name()
         each = np.array([known.get(name, np.nan) for name in wanted])
         return Costs(self.base, each, wanted)
 
     def of_models(self, names: Sequence[str]) -> float | None:
-        """Return T of a plan that predicts the humans by these models; None if unknown."""
-        each = dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
+        """Return T of a plan that predicts the humans by these models.
+
+        It is None if T is unknown.
+        """
+        each = self._each_by_name()
         if not each.keys() >= {*names}:
             return None
-        total = float(self.base + sum(map(each.__getitem__, names)))
+        total = float(self.base + sum(each[name] for name in names))
         return None if np.isnan(total) else total
 
-    def total(self, rungs: Any) -> Any:
-        """Return T [...] of plans that predict humans by these rungs [..., humans].
+    def total(self, rungs: Int[Array, "*plans humans"]) -> Float[Array, "*plans"]:
+        """Return T of plans that predict humans by these rungs.
 
         The result is an array of NumPy or JAX, like the rungs; NaN where T is unknown.
         """
-        xp = rungs.__array_namespace__()
+        xp = namespace(rungs)
         return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
+
+    def _each_by_name(self) -> dict[str, float]:
+        """Return the time that a human adds under each model."""
+        return dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
 
 
 UNKNOWN = Costs(0.0, np.zeros(0), ())
@@ -99,15 +104,14 @@ def measure_costs(
     quantile: float,
     way_out: bool,
 ) -> Costs:
-    """Measure T on this machine, by warm plans in this state with all humans on the
-    same rung.
+    """Measure T on this machine, by warm plans with all humans on the same rung.
 
     Args:
         game: that is played.
         ladder: human models.
         state: all cars.
-        quantile: of the seconds of `REPEATS` plans on each rung, close to 1 for
-            budgets.
+        quantile: of the seconds of `CompiledPlans.repeats` plans on each rung, close to
+            1 for budgets.
         way_out: whether the time includes the check of the way out.
 
     Raises:
@@ -127,11 +131,12 @@ def measure_costs(
 
     # Seconds of whole plans, with all humans on each rung.
     rungs = range(len(ladder))
-    times = [[once(rung) for _ in range(REPEATS)] for rung in rungs]
+    times = [[once(rung) for _ in range(plans.repeats)] for rung in rungs]
     whole = np.quantile(times, quantile, axis=1)
 
     # Seconds if only one human is on the rung; no rung takes less than the first one.
     first = whole[0]
     added = np.maximum(whole - first, 0.0) / game.number
-    seconds = dict(zip((model.name for model in ladder), first + added, strict=True))
+    names = [model.name for model in ladder]
+    seconds = dict(zip(names, first + added, strict=True))
     return Costs.of(seconds, game.number)

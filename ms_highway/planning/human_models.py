@@ -13,12 +13,13 @@ last plan, and ``tom@8+warm`` does both.
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, ClassVar
+from typing import ClassVar
 from warnings import warn
 
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Float
 
 from ms_highway.game.car_following import FREE_GAP, STREAM_IDM
 from ms_highway.game.dynamics import keep_velocity, step
@@ -110,7 +111,9 @@ class HumanModel:
             if name in costs:
                 return costs[name]
         base = costs.get(type(self).name)
-        return None if base is None or self.steps is None else base * self.steps / usual
+        if base is None or self.steps is None:
+            return None
+        return base * self.steps / usual
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Predict the human's controls over the horizon, in SI units and traced by JAX.
@@ -158,10 +161,10 @@ class Naive(PredictedHuman):
 
 @dataclass(frozen=True)
 class IntelligentDriver(PredictedHuman):
-    """The human follows the car ahead in its lane, such as the robot, by the
-    Intelligent Driver Model.
+    """The human follows the car ahead in its lane, such as the robot, by IDM.
 
-    Its desired speed is the speed limit. All others keep their velocity.
+    The parameters are `ms_highway.game.car_following.STREAM_IDM`, and the desired speed
+    is the speed limit. All others keep their velocity.
     """
 
     name: ClassVar[str] = "idm"
@@ -174,21 +177,25 @@ class IntelligentDriver(PredictedHuman):
             kept = keep_velocity(game.dynamics, state)
             return step(game.dynamics, state, kept.at[1].set(control)), control
 
-        return jax.lax.scan(follow, jnp.asarray(state), None, game.planner.horizon)[1]
+        start_state = jnp.asarray(state)
+        _, controls = jax.lax.scan(follow, start_state, None, game.planner.horizon)
+        return controls
 
 
 def following_control(game: Game, state: State) -> Control:
-    """Return the control, not scaled, of car 1 if it follows the car ahead by the
-    Intelligent Driver Model.
-    """
+    """Return the control, not scaled, of car 1 if it follows the car ahead by IDM."""
     scene = game.scene
     own = state[1]
     others = jnp.concatenate([state[:1], state[2:]])
-    offset = others[:, :2] - own[:2]
-    leader, leads = nearest_ahead(
-        offset[:, 0], jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
-    )
-    gap = jnp.where(leads, offset[leader, 0] - jnp.asarray(scene.car_size)[0], FREE_GAP)
+
+    # The nearest car ahead whose centre is within half a lane to the side.
+    offset = others[:, :2] - own[:2]  # [others, 2]
+    in_lane = jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
+    leader, leads = nearest_ahead(offset[:, 0], in_lane)
+
+    # Between bumpers.
+    length = jnp.asarray(scene.car_size)[0]
+    gap = jnp.where(leads, offset[leader, 0] - length, FREE_GAP)
     limit = jnp.asarray(game.humans.speed_limit)
     change = STREAM_IDM.acceleration(own[3], limit, gap, others[leader, 3])
     return keep_velocity(game.dynamics, own).at[1].add(change)
@@ -196,8 +203,9 @@ def following_control(game: Game, state: State) -> Control:
 
 @dataclass(frozen=True)
 class Turn(PredictedHuman):
-    """The human optimises its own reward against a robot that keeps its velocity,
-    whatever the robot plans.
+    """The human optimises its own reward against a robot that keeps its velocity.
+
+    It does so whatever the robot plans.
     """
 
     name: ClassVar[str] = "turn"
@@ -222,7 +230,7 @@ class TheoryOfMind(HumanModel):
 
 
 def plan_alone(game: Game, state: State, start: Plan | None = None) -> Solution:
-    """Plan the controls of car 0, which believes that all others keep their velocity."""
+    """Plan the controls of car 0, who believes that others keep their velocity."""
     partners = constant_velocity(game, state[1 : 1 + game.number])
     begin = cold_start(game, state) if start is None else start
     return plan_against(game, state, partners, begin)
@@ -233,8 +241,9 @@ PACKAGE_TYPES = (Naive, IntelligentDriver, Turn, TheoryOfMind)
 
 
 def is_of_package(model: HumanModel) -> bool:
-    """Return whether a model is the package's own; the controls of these keep to the
-    limits of plans by themselves.
+    """Return whether a model is one of the package.
+
+    The controls of these keep to the limits of plans by themselves.
     """
     return type(model) in PACKAGE_TYPES
 
@@ -242,8 +251,9 @@ def is_of_package(model: HumanModel) -> bool:
 def scaled_prediction(
     model: HumanModel, game: Game, state: State, start: Plan | None = None
 ) -> Controls:
-    """Return a model's prediction, scaled; a registered model's is cut to the limits of
-    plans.
+    """Return a model's prediction, scaled.
+
+    That of a registered model is cut to the limits of plans.
 
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
@@ -263,30 +273,33 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     """
     solver = model.solver(game)
     usual = game.planner.solver
-    steps = (
-        ("iterations", "step_size")
-        if isinstance(usual, Ascent)
-        else ("steps", "joint_steps")
-    )
     kind = type(usual).__name__
+    steps = ("steps", "joint_steps")
+    if isinstance(usual, Ascent):
+        steps = ("iterations", "step_size")
+
+    # It is the planner's kind of solver.
     if type(solver) is not type(usual):
         remedy = (
             f"return game.planner.solver, a {kind}, with other {steps[0]} or {steps[1]}"
         )
         raise ValueError(f"human model {model.name!r} plans by {solver!r}; {remedy}")
+
+    # It differs in its steps alone.
     for each in fields(usual):
         own = getattr(solver, each.name)
         if each.name not in steps and own is not getattr(usual, each.name):
             what = f"a solver whose {each.name} is {own!r}, not the planner's"
             remedy = f"change only {steps[0]} and {steps[1]} of game.planner.solver"
             raise ValueError(f"human model {model.name!r} plans by {what}; {remedy}")
+
+    # It takes some.
     for responds in (False, True):
         most = solver.most_steps(responds)
         if not isinstance(most, int) or most < 1:
             remedy = "give whole numbers of at least 1"
-            raise ValueError(
-                f"human model {model.name!r} plans in {most!r} steps; {remedy}"
-            )
+            what = f"{most!r} steps"
+            raise ValueError(f"human model {model.name!r} plans in {what}; {remedy}")
     return solver
 
 
@@ -319,12 +332,12 @@ def within(model: HumanModel, game: Game) -> Game:
 
 
 def _scaled_within_limits(game: Game, human: Car, controls: Controls) -> Controls:
-    """Scale predicted controls of a human, and cut finite ones to the limits of plans."""
+    """Scale predicted controls of a human, and cut finite ones to plans' limits."""
     scaled = controls / game.planner.control_scale
     return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
 
 
-def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
+def _checked(model: HumanModel, game: Game, controls: object) -> jax.Array:
     """Return the prediction of a registered model as an array [horizon, 2].
 
     Raises:
@@ -334,9 +347,8 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
     found = repr(controls)
     with suppress(TypeError, ValueError):
         array = jnp.asarray(controls)
-        if array.shape == wanted and jnp.isdtype(
-            array.dtype, ("integral", "real floating")
-        ):
+        is_real = jnp.isdtype(array.dtype, ("integral", "real floating"))
+        if array.shape == wanted and is_real:
             return array
         found = f"an array of shape {array.shape} and type {array.dtype}"
     remedy = (
@@ -347,32 +359,48 @@ def _checked(model: HumanModel, game: Game, controls: Any) -> jax.Array:
 
 
 def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> None:
-    """Warn of registered models whose prediction of the first human is cut by limits,
-    or not finite, in a start.
+    """Warn of registered models whose prediction is cut by limits, or not finite.
+
+    The prediction is that of the first human in a start.
     """
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
-        own, cars = pair(read_only(within(model, game)), jnp.asarray(state), 0)
+        own_game, cars = pair(read_only(within(model, game)), jnp.asarray(state), 0)
         with naming_writes(f"the human model {model.name!r}"):
-            predicted = np.asarray(_checked(model, own, model.predict(own, cars)))
-        kept = np.asarray(
-            _scaled_within_limits(own, cars[1], predicted) * game.planner.control_scale
-        )
-        finite = np.isfinite(predicted)
-        cut = np.argwhere(
-            ~finite | (np.abs(predicted - kept) > 1e-3 * np.abs(predicted))
-        )
-        if len(cut):
-            place = tuple(cut[0])
-            what = ("a curvature of {:.3g} 1/m", "an acceleration of {:.3g} m/s^2")[
-                place[1]
-            ].format(predicted[place])
-            effect = "so that no plan follows"
-            if finite[place]:
-                effect = f"which the limits of plans cut to {kept[place]:.3g}"
-            remedy = "predictions are in SI units, see ms_highway.HumanModel.predict"
-            warn(
-                f"human model {model.name!r} predicts {what}, {effect}; {remedy}",
-                stacklevel=2,
-            )
+            controls = model.predict(own_game, cars)
+            predicted = np.asarray(_checked(model, own_game, controls))
+        within_limits = _scaled_within_limits(own_game, cars[1], predicted)
+        kept = np.asarray(within_limits * game.planner.control_scale)
+        _warn_of_cut(model, predicted, kept)
+
+
+def _warn_of_cut(
+    model: HumanModel,
+    predicted: Float[np.ndarray, "steps 2"],
+    kept: Float[np.ndarray, "steps 2"],
+) -> None:
+    """Warn of the first predicted control that limits cut, or that is not finite.
+
+    Args:
+        model: registered, that predicts.
+        predicted: its controls in SI units.
+        kept: what the limits leave of them.
+    """
+    is_finite = np.isfinite(predicted)
+    is_cut = np.abs(predicted - kept) > 1e-3 * np.abs(predicted)
+    places = np.argwhere(~is_finite | is_cut)
+    if not len(places):
+        return
+
+    step, column = places[0]
+    value = predicted[step, column]
+    what = f"an acceleration of {value:.3g} m/s^2"
+    if column == 0:
+        what = f"a curvature of {value:.3g} 1/m"
+    effect = "so that no plan follows"
+    if is_finite[step, column]:
+        effect = f"which the limits of plans cut to {kept[step, column]:.3g}"
+    remedy = "predictions are in SI units, see ms_highway.HumanModel.predict"
+    message = f"human model {model.name!r} predicts {what}, {effect}; {remedy}"
+    warn(message, stacklevel=3)

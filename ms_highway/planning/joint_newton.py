@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ms_highway.game.game import Game, bounded, move, swap_roles
 from ms_highway.numerics.convex_newton import Local, expand, improve, share
-from ms_highway.numerics.newton import Objective
+from ms_highway.numerics.objective import Objective
 from ms_highway.planning.plans import Plan, driving
 from ms_highway.planning.responders import Interaction
 from ms_highway.planning.responses import (

@@ -9,12 +9,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from math import inf
 
-from ms_highway.numerics.solvers import MAX_ITERATIONS
+from ms_highway.numerics.solvers import GRADIENT_STEPS
 from ms_highway.planning.human_models import PACKAGE_TYPES, HumanModel
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import check_own_name, keep_apart
-
-NAME = re.compile(r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?")
 
 BEST = "best"
 """Name of `BEST_LADDER` in configurations and commands."""
@@ -57,49 +55,7 @@ def register(model: HumanModel, before: str | None = None) -> None:
             agent, or no word, or ``before`` names no other model; if the model is no
             `HumanModel`, or not hashable.
     """
-    if (
-        not isinstance(model, HumanModel)
-        or getattr(type(model), "name", None) != model.name
-    ):
-        remedy = (
-            "make it a frozen dataclass derived from ms_highway.HumanModel, whose class"
-            " has a name"
-        )
-        raise ValueError(f"{model!r} is no model; {remedy}")
-    if hasattr(model, "plan"):
-        remedy = (
-            "define its own steps by `solver` and their start by `start`, or define"
-            " `predict`"
-        )
-        raise ValueError(
-            f"human model {model.name!r} defines `plan`, which plans among several"
-            f" humans cannot obey; {remedy}"
-        )
-    if not model.responds and type(model).predict is HumanModel.predict:
-        remedy = "define `predict`, or set the class's ``responds`` to True"
-        raise ValueError(
-            f"human model {model.name!r} neither predicts nor responds; {remedy}"
-        )
-    if model.responds and type(model).predict is not HumanModel.predict:
-        remedy = (
-            "a human that responds is not predicted; leave it out, or set the class's"
-            " ``responds`` to False"
-        )
-        raise ValueError(
-            f"human model {model.name!r} responds, and defines `predict`; {remedy}"
-        )
-    if not model.responds and type(model).start is not HumanModel.start:
-        remedy = "only models that respond have a start of their own; leave it out"
-        raise ValueError(
-            f"human model {model.name!r} does not respond, and defines `start`;"
-            f" {remedy}"
-        )
-    try:
-        hash(model)
-    except TypeError as error:
-        raise ValueError(
-            f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass"
-        ) from None
+    _check_model(model)
     check_own_name("a human model", model.name, lower=False)
     names = [name for name in MODELS if name != model.name]
     if before is not None and before not in names:
@@ -114,16 +70,70 @@ def register(model: HumanModel, before: str | None = None) -> None:
     note_definition(model.name, model)
 
 
+def _check_model(model: HumanModel) -> None:
+    """Check that a user's model is one that plans can use.
+
+    Raises:
+        ValueError: naming the problem and its remedy.
+    """
+    own_name = getattr(type(model), "name", None)
+    if not isinstance(model, HumanModel) or own_name != model.name:
+        remedy = (
+            "make it a frozen dataclass derived from ms_highway.HumanModel, whose class"
+            " has a name"
+        )
+        raise ValueError(f"{model!r} is no model; {remedy}")
+    if problem := _problem_of_methods(model):
+        raise ValueError(f"human model {model.name!r} {problem}")
+    try:
+        hash(model)
+    except TypeError as error:
+        raise ValueError(
+            f"{model!r} cannot be compiled for: {error}; make it a frozen dataclass"
+        ) from None
+
+
+def _problem_of_methods(model: HumanModel) -> str | None:
+    """Return what is wrong with the methods that a model defines, and the remedy."""
+    predicts = type(model).predict is not HumanModel.predict
+    starts = type(model).start is not HumanModel.start
+    if hasattr(model, "plan"):
+        return (
+            "defines `plan`, which plans among several humans cannot obey; define its"
+            " own steps by `solver` and their start by `start`, or define `predict`"
+        )
+    if not model.responds and not predicts:
+        return (
+            "neither predicts nor responds; define `predict`, or set the class's"
+            " ``responds`` to True"
+        )
+    if model.responds and predicts:
+        return (
+            "responds, and defines `predict`; a human that responds is not predicted;"
+            " leave it out, or set the class's ``responds`` to False"
+        )
+    if not model.responds and starts:
+        return (
+            "does not respond, and defines `start`; only models that respond have a"
+            " start of their own; leave it out"
+        )
+    return None
+
+
 def human_model(name: str) -> HumanModel:
-    """Return the model of a name, with its effort if the name has one, such as
-    ``tom@8+warm``.
+    """Return the model of a name, with its effort, such as ``tom@8+warm``.
 
     Raises:
         ValueError: if it is no model's name.
     """
-    parts = NAME.fullmatch(name) if isinstance(name, str) else None
+    pattern = r"(?P<model>[^@+]+)(@(?P<steps>[1-9][0-9]{0,8}))?(?P<warm>\+warm)?"
+    parts = re.fullmatch(pattern, name) if isinstance(name, str) else None
     steps = int(parts["steps"] or 0) if parts else 0
-    if parts is None or parts["model"] not in MODELS or steps > MAX_ITERATIONS:
+    if (
+        parts is None
+        or parts["model"] not in MODELS
+        or steps > GRADIENT_STEPS.max_number
+    ):
         raise ValueError(
             f"unknown human model {name!r}; the models are {model_names()}"
         )
@@ -132,7 +142,7 @@ def human_model(name: str) -> HumanModel:
 
 
 def is_model(name: object) -> bool:
-    """Return whether a value is the name of a human model, with or without an effort."""
+    """Return whether a value names a human model, with or without an effort."""
     try:
         return bool(human_model(name))  # type: ignore[arg-type]
     except ValueError:
@@ -141,24 +151,26 @@ def is_model(name: object) -> bool:
 
 def model_names() -> str:
     """Return the names of all models, for messages."""
+    most = GRADIENT_STEPS.max_number
     return (
-        f"{', '.join(MODELS)}, also in 1 to {MAX_ITERATIONS} steps (tom@8) or from the"
-        " last plan (tom@8+warm)"
+        f"{', '.join(MODELS)}, also in 1 to {most} steps (tom@8) or from the last plan"
+        " (tom@8+warm)"
     )
 
 
 def known_models(used: Iterable[str]) -> list[str]:
-    """Return the names of all known models and of the models in use, with their
-    efforts, cheapest first.
+    """Return the names of all known models and of those in use, cheapest first.
+
+    Those in use have their efforts.
     """
-    return sorted(
-        {*MODELS, *filter(is_model, used)}, key=lambda name: _rank(human_model(name))
-    )
+    names = {*MODELS, *filter(is_model, used)}
+    return sorted(names, key=lambda name: _rank(human_model(name)))
 
 
 def cheapest_first(used: Iterable[str]) -> list[str]:
-    """Return the names of the models in use, each once, cheapest first; names that are
-    not registered come last.
+    """Return the names of the models in use, each once, cheapest first.
+
+    Names that are not registered come last.
     """
     used = {name for name in used if name}
     known = [name for name in known_models(used) if name in used]
@@ -166,15 +178,17 @@ def cheapest_first(used: Iterable[str]) -> list[str]:
 
 
 def _rank(model: HumanModel) -> tuple[int, float, bool]:
-    """Return the key by which models are sorted: by type, then by number of steps, the
-    planner's own number last.
+    """Return the key by which models are sorted.
+
+    It is the type, then the number of steps, the planner's own number last.
     """
     return list(MODELS).index(type(model).name), model.steps or inf, model.warm
 
 
 def rung_names(names: Sequence[str]) -> list[str]:
-    """Return the names of a ladder's rungs; ``best`` stands for those of `BEST_LADDER`."""
-    return list(BEST_LADDER if names == BEST or list(names) == [BEST] else names)
+    """Return the names of a ladder's rungs, for ``best`` those of `BEST_LADDER`."""
+    is_best = names == BEST or list(names) == [BEST]
+    return list(BEST_LADDER if is_best else names)
 
 
 def ladder(names: Sequence[str]) -> tuple[HumanModel, ...]:

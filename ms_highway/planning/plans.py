@@ -21,7 +21,7 @@ from ms_highway.game.game import (
     move,
     move_jacobian,
 )
-from ms_highway.numerics.newton import Objective, best_of
+from ms_highway.numerics.objective import Objective, best_of
 from ms_highway.planning.manoeuvres import into_gaps, manoeuvres
 from ms_highway.runtime.arrays import (
     Car,

@@ -20,7 +20,8 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.reward import Reward, linear_reward
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.game.scene import FAR_AWAY, Scene
-from ms_highway.numerics.newton import DAMPED_SHARES, best_of, damped_solve
+from ms_highway.numerics.damped_newton import DAMPED_STEPS, damped_solve
+from ms_highway.numerics.objective import best_of
 from ms_highway.numerics.second_derivatives import along_fields
 from ms_highway.perception.scene import RoadScene, Steps, World
 from ms_highway.road.road_planning import RoadPlanning
@@ -141,12 +142,12 @@ class Commuter:
 
         def best(candidates: Steps) -> Vector:
             possible = jax.vmap(self.limited)(candidates)
-            return best_of(possible, jax.vmap(self.earned)(possible))
+            return best_of(possible, jnp.asarray(jax.vmap(self.earned)(possible)))
 
         def improve(_: Index, scaled: Vector) -> Vector:
             gradient, hessian = self.expand(scaled)
             newton_step = damped_solve(hessian, gradient)
-            return best(scaled + DAMPED_SHARES[:, None] * newton_step)
+            return best(scaled + DAMPED_STEPS.shares[:, None] * newton_step)
 
         starts = RESPONSES.starts
         first = best(jnp.broadcast_to(starts, (len(starts), self.planning.steps)))

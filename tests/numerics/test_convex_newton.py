@@ -6,15 +6,13 @@ import pytest
 from jax import numpy as jnp
 
 from ms_highway.numerics.convex_newton import (
-    MIN_PART,
-    MIN_SHARE,
-    STEP_TOLERANCE,
+    NEWTON_STEPS,
     expand,
     improve,
     share,
     until_still,
 )
-from ms_highway.numerics.newton import Objective
+from ms_highway.numerics.objective import Objective
 
 PATH = np.random.default_rng(0).normal(size=(1, 6, 12)).astype(np.float32) / 3
 
@@ -107,7 +105,8 @@ def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
 def test_the_share_of_a_step_is_that_of_a_parabola_and_short_towards_nan():
     slope = np.float32([1, 1, 1, 1, -1e-3, np.nan])
     after = np.float32([0.5, -1, -1e6, np.nan, -1, 1])
-    expected = [1, 0.5, MIN_SHARE, MIN_SHARE, MIN_SHARE, np.nan]
+    least = NEWTON_STEPS.min_share
+    expected = [1, 0.5, least, least, least, np.nan]
     np.testing.assert_allclose(share(slope, after), expected, atol=1e-4)
 
 
@@ -117,11 +116,12 @@ def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_hardly_mat
             lambda _, point: 0.3 * point, start, most, lambda point: point
         )
 
-    starts = np.geomspace(0.5 * STEP_TOLERANCE, 1.0, 4001, dtype=np.float32)
+    tolerance = NEWTON_STEPS.tolerance
+    starts = np.geomspace(0.5 * tolerance, 1.0, 4001, dtype=np.float32)
     ends, steps, converged = map(np.asarray, jax.jit(jax.vmap(rest))(starts))
     assert ends[0] == starts[0]  # not worth a step
-    assert ends.max() < 2 * STEP_TOLERANCE / 0.7
-    assert abs(np.diff(ends)).max() < 2 * MIN_PART * STEP_TOLERANCE
+    assert ends.max() < 2 * tolerance / 0.7
+    assert abs(np.diff(ends)).max() < 2 * NEWTON_STEPS.last_part * tolerance
     assert converged.all()
     assert steps[0] == 1
     assert np.all(np.diff(steps) >= 0)

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from ms_highway.numerics.newton import damped_solve
+from ms_highway.numerics.damped_newton import damped_solve
 
 solve = jax.jit(damped_solve)
 
