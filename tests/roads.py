@@ -25,19 +25,12 @@ def arc(knots, bend=0.0, d=0.0, start=0.0):
     """
     along = (np.arange(knots) * SPACING - BEHIND) / (1 - d * bend) + start
     heading = along * bend
-    x, y = (
-        (np.sin(heading) / bend, (1 - np.cos(heading)) / bend)
-        if bend
-        else (along, np.zeros(knots))
-    )
-    own = bend / (1 - d * bend)
-    arrays = (
-        x - d * np.sin(heading),
-        y + d * np.cos(heading),
-        heading,
-        np.full(knots, own),
-    )
-    return Curve(*np.array(arrays, np.float32))
+    x = np.sin(heading) / bend if bend else along
+    y = (1 - np.cos(heading)) / bend if bend else np.zeros(knots)
+    curvature = np.full(knots, bend / (1 - d * bend))
+    beside_x = x - d * np.sin(heading)
+    beside_y = y + d * np.cos(heading)
+    return Curve(*np.array([beside_x, beside_y, heading, curvature], np.float32))
 
 
 def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
@@ -55,13 +48,12 @@ def scene_of(bend=0.0, robot=(0.0, 0.0, 0.0, 20.0), cars=(), limit=30.0):
     present = np.arange(SHAPE.paths) < len(cars)
     states = np.zeros((SHAPE.paths, 4), np.float32)
     states[: len(cars), 3] = [speed for *_, speed in cars]
+    edges = [[-1.5 * LANE], [1.5 * LANE]]
     return RoadScene(
         route=arc(SHAPE.route_knots, bend),
         lanes=np.tile([[-LANE], [0.0], [LANE]], SHAPE.route_knots).astype(np.float32),
         open=np.ones((SHAPE.lanes, SHAPE.route_knots), bool),
-        edges=np.tile([[-1.5 * LANE], [1.5 * LANE]], SHAPE.route_knots).astype(
-            np.float32
-        ),
+        edges=np.tile(edges, SHAPE.route_knots).astype(np.float32),
         changes=np.zeros(SHAPE.lanes, np.float32),
         room=np.float32(np.inf),
         robot=np.asarray(robot, np.float32),
@@ -87,9 +79,8 @@ def wrecked(scene, car):
 
 def coming(scene, car):
     """The scene, on a straight road, with an oncoming car."""
-    scene.paths.x[car] = (
-        2 * scene.paths.x[car, round(BEHIND / SPACING)] - scene.paths.x[car]
-    )
+    present_x = scene.paths.x[car, round(BEHIND / SPACING)]
+    scene.paths.x[car] = 2 * present_x - scene.paths.x[car]
     scene.paths.heading[car] += np.pi
     return scene
 

@@ -49,7 +49,7 @@ def forms(road):
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_interface(
+def test_every_stock_environment_keeps_its_interface_and_the_grip(
     name,
 ):
     stock = gym.make(name)
@@ -70,21 +70,13 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_
     assert form(info) == form(told)
     assert env.observation_space.contains(observation)
     assert road["action"] is None or env.action_space.contains(road["action"])
-    assert np.isfinite(
-        [
-            road["planning_seconds"],
-            road["decision_seconds"],
-            road["jerk"],
-            *np.atleast_1d(reward),
-        ]
-    ).all()
+    numbers = [road["planning_seconds"], road["decision_seconds"], road["jerk"]]
+    assert np.isfinite([*numbers, *np.atleast_1d(reward)]).all()
     assert not np.any(terminated)
     for robot in env.robots:
         assert robot.last_step.source in ("proposal", "last plan", "braking")
-        assert (
-            len(robot.actions)
-            == rates["simulation_frequency"] // rates["policy_frequency"]
-        )
+        frames = rates["simulation_frequency"] // rates["policy_frequency"]
+        assert len(robot.actions) == frames
         assert 0.0 <= max(robot.accelerations) <= 5.0
 
 
@@ -92,16 +84,14 @@ def test_the_robot_drives_every_stock_environment_within_its_grip_and_keeps_the_
 @pytest.mark.parametrize(
     ("name", "seed"),
     [
-        ("roundabout-v1", 1),  # a car that braked for others was predicted to go on
-        ("roundabout-v0", 75),  # a crashed car was predicted to lie along its lane
-        (
-            "roundabout-v0",
-            1014,
-        ),  # a plan passed a wreck more closely than steps of 0.2 s resolve
-        (
-            "two-way-v0",
-            59,
-        ),  # a plan could not drop behind a car beside it to let an oncoming car pass
+        # A car that braked for others was predicted to go on.
+        ("roundabout-v1", 1),
+        # A crashed car was predicted to lie along its lane.
+        ("roundabout-v0", 75),
+        # A plan passed a wreck more closely than steps of 0.2 s resolve.
+        ("roundabout-v0", 1014),
+        # A plan could not drop behind a car beside it to let an oncoming car pass.
+        ("two-way-v0", 59),
     ],
 )
 def test_the_robot_no_longer_crashes_where_it_did(name, seed):
@@ -114,13 +104,13 @@ def test_the_robot_no_longer_crashes_where_it_did(name, seed):
     assert not env.unwrapped.vehicle.crashed
 
 
-def test_the_robot_plans_five_times_in_a_step_of_a_second_and_counts_late_plans():
+def test_a_step_of_a_second_counts_five_late_plans():
     road = driven("merge-v0", "budget:0.001").step(0)[4]["road"]
     assert np.isfinite(road["decisions"]).sum() == road["late"] == 5
     assert road["source"] == "last plan"
 
 
-def test_actions_are_ignored_and_a_time_limit_in_steps_is_kept():
+def test_actions_change_neither_an_episode_nor_its_time_limit():
     one = driven("two-way-v0")
     other = driven("two-way-v0")
     for step in range(15):
@@ -131,7 +121,7 @@ def test_actions_are_ignored_and_a_time_limit_in_steps_is_kept():
         assert outcome[2:4] == (False, step == 14)
 
 
-def test_the_reported_action_repeats_the_step_of_the_robot_or_is_nan():
+def test_the_reported_action_repeats_the_step_or_is_nan():
     """In a turn, tyres change the control within some of the steps, which have three
     frames.
     """
@@ -148,15 +138,16 @@ def test_the_reported_action_repeats_the_step_of_the_robot_or_is_nan():
         copy.speed = own.speed
         action = env.step(None)[4]["road"]["action"]
         stock.step(action)
-        possible.append(env.action_space.contains(action))
-        if possible[-1]:
+        is_possible = env.action_space.contains(action)
+        possible.append(is_possible)
+        if is_possible:
             np.testing.assert_allclose(own.position, copy.position, atol=1e-3)
         else:
             assert np.isnan(action).all()
     assert possible.count(True) > 20 > possible.count(False) > 0
 
 
-def test_a_step_without_a_reset_of_the_wrapper_is_refused():
+def test_a_step_without_a_reset_is_refused():
     env = ms_highway.drive(gym.make("highway-fast-v0"))
     with pytest.raises(gym.error.ResetNeeded):
         env.step(None)
@@ -168,7 +159,7 @@ def test_a_step_without_a_reset_of_the_wrapper_is_refused():
         env.step(None)
 
 
-def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensive_model():
+def test_a_picture_shows_cars_in_the_colours_of_their_models():
     env = driven("roundabout-v0", "fixed:idm", render_mode="rgb_array")
     before = env.render()
     env.step(1)
@@ -180,7 +171,7 @@ def test_a_picture_shows_the_plan_and_each_car_in_the_colour_of_its_most_expensi
     assert (frame[height:] != PALETTE.paper).any()
 
 
-def test_vector_environments_collect_infos_although_episodes_end_at_different_times():
+def test_vector_environments_collect_infos_of_ended_episodes():
     envs = gym.vector.SyncVectorEnv(
         [lambda: driven("intersection-v0", config={"duration": 2})] * 2
     )
@@ -220,7 +211,7 @@ def follows(monkeypatch):
 
 @pytest.mark.usefixtures("follows")
 @pytest.mark.parametrize("name", ["racetrack-v1", "merge-v0"])
-def test_a_driver_of_ones_own_drives_stock_roads_and_sees_them_straightened(name):
+def test_an_added_driver_drives_straightened_stock_roads(name):
     env = ms_highway.drive(gym.make(name), {"driver": "follows"})
     drives = []
     for seed in (3, 4, 3):
@@ -243,7 +234,7 @@ def test_a_driver_of_ones_own_drives_stock_roads_and_sees_them_straightened(name
 
 
 @pytest.mark.usefixtures("follows")
-def test_a_driver_of_ones_own_is_measured_on_stock_roads_under_its_name():
+def test_an_added_driver_is_measured_under_its_name():
     check_driver("follows")
     block = Block("merge-v0", "follows")
     figures = summary(block, [run_episode(block, seed) for seed in range(2)])
@@ -254,14 +245,13 @@ def test_a_driver_of_ones_own_is_measured_on_stock_roads_under_its_name():
         ValueError, match=r"unknown driver 'folows'.*a name of add_driver or add_agent"
     ):
         check_driver("folows")
-    with pytest.raises(
-        ValueError, match=r"config\['driver'\] is 'never'"
-    ):  # which drives humans beside a robot
+    # This one drives humans beside a robot.
+    with pytest.raises(ValueError, match=r"config\['driver'\] is 'never'"):
         ms_highway.drive(gym.make("merge-v0"), {"driver": "never"})
 
 
 @pytest.mark.slow
-def test_the_module_that_adds_a_planner_serves_paper_scenes_and_stock_roads(tmp_path):
+def test_an_added_planner_serves_paper_scenes_and_stock_roads(tmp_path):
     """A planner of the example drives in both under the same name."""
     asks = "--import notebooks.examples.agents"
     run(

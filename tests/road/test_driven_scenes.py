@@ -46,33 +46,29 @@ def test_a_random_destination_is_the_end_of_the_route():
 
 
 @pytest.mark.parametrize("name", ["intersection-v0", "intersection-multi-agent-v0"])
-def test_robots_replace_all_controlled_vehicles_and_are_observed_as_these_were(name):
+def test_robots_replace_controlled_vehicles_and_are_observed_like_them(name):
     stock = made(name).unwrapped
     driven = ms_highway.drive(gym.make(name))
     observed, _ = driven.reset(seed=0)
     base = driven.unwrapped
-    actions = driven.unwrapped.action_type
-    observations = driven.unwrapped.observation_type
-    np.testing.assert_equal(observations.observe(), observed)
-    controlled = [
-        part.controlled_vehicle
-        for part in getattr(actions, "agents_action_types", [actions])
-    ]
-    observers = [
-        part.observer_vehicle
-        for part in getattr(observations, "agents_observation_types", [observations])
-    ]
+    action_type = driven.unwrapped.action_type
+    observation_type = driven.unwrapped.observation_type
+    np.testing.assert_equal(observation_type.observe(), observed)
+    actions = getattr(action_type, "agents_action_types", [action_type])
+    observations = getattr(
+        observation_type, "agents_observation_types", [observation_type]
+    )
+    controlled = [part.controlled_vehicle for part in actions]
+    observers = [part.observer_vehicle for part in observations]
     assert driven.robots == base.controlled_vehicles == controlled == observers
     for robot, old in zip(driven.robots, stock.controlled_vehicles, strict=True):
         assert robot in base.road.vehicles
-        assert (robot.speed, robot.heading, robot.route) == (
-            old.speed,
-            old.heading,
-            getattr(old, "route", None),
-        )
+        assert robot.speed == old.speed
+        assert robot.heading == old.heading
+        assert robot.route == getattr(old, "route", None)
 
 
-def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_other_scenes():
+def test_side_effects_of_an_intersection_are_undone_in_other_scenes():
     for name, expected in (
         ("intersection-v0", [7, 6, -3]),
         ("merge-v0", [10.0, 3.0, -5.0]),
@@ -104,8 +100,6 @@ def test_side_effects_of_an_intersection_on_highway_envs_drivers_are_undone_in_o
         ("parking-v0", {}, r"parking-v0.*the robot drives highway, merge, roundabout"),
     ],
 )
-def test_an_impossible_configuration_is_refused_and_so_is_a_scene_without_a_road_to_follow(
-    name, config, message
-):
+def test_what_cannot_be_driven_is_refused_with_a_remedy(name, config, message):
     with pytest.raises(ValueError, match=message):
         ms_highway.drive(gym.make(name), config)

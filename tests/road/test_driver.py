@@ -25,7 +25,7 @@ SCENE = scene_of(
 BLIND = replace(SCENE, robot=np.full(4, np.nan, np.float32))
 
 
-def test_only_a_car_that_is_in_the_way_and_could_yield_may_be_worth_a_better_prediction():
+def test_only_a_car_that_could_yield_is_worth_a_prediction():
     """The goal asks for the lane in which a car comes from behind."""
     scene = scene_of(
         robot=(0.0, 0.0, 0.0, 20.0), cars=[(0.0, 1, 21.0), (-200.0, -1, 15.0)]
@@ -60,7 +60,7 @@ def test_a_higher_price_never_buys_a_more_expensive_model():
     assert len(np.unique(found[:, -1])) == len(TRAFFIC_MODELS)
 
 
-def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_cars():
+def test_models_at_a_price_ignore_those_in_use():
     settings = RoadSettings.read(
         {"driver": "priced:1", "costs": {"idm": 0.1, "tom": 0.2}}
     )
@@ -69,12 +69,11 @@ def test_models_at_a_price_do_not_depend_on_those_in_use_which_may_be_of_other_c
     bounds = np.full(SHAPE.paths, 5.0, np.float32)
     for _ in range(3):
         memory = decided(rule, memory, bounds).memory
-        assert [rule.ladder[rung].name for rung in memory.rungs] == [
-            "tom"
-        ] * SHAPE.paths
+        names = [rule.ladder[rung].name for rung in memory.rungs]
+        assert names == ["tom"] * SHAPE.paths
 
 
-def test_a_budget_is_never_exceeded_and_goes_to_the_highest_gains_first():
+def test_a_budget_is_kept_and_goes_to_the_highest_gains():
     random = np.random.default_rng(0)
     for _ in range(20):
         gains = np.maximum(random.normal(size=SHAPE.paths), 0.0)
@@ -99,7 +98,8 @@ def test_a_plan_beyond_its_budget_is_followed_a_step_later():
     late = driver("budget:0")
     usual = driver()
     steps = [late.step(SCENE) for _ in range(3)]
-    first, second = (usual.step(SCENE) for _ in range(2))
+    first = usual.step(SCENE)
+    second = usual.step(SCENE)
     assert [(step.status, step.source) for step in steps] == [
         ("late", source) for source in ("braking", "last plan", "last plan")
     ]
@@ -129,7 +129,7 @@ def test_nothing_compiles_after_the_first_step(caplog):
     ]
 
 
-def test_if_plans_are_not_finite_the_robot_follows_the_rest_of_the_last_plan_and_then_brakes():
+def test_without_finite_plans_the_robot_follows_its_last_and_brakes():
     unknown = np.where(
         np.arange(SHAPE.paths)[:, None] == 0, np.float32(np.nan), SCENE.states
     )

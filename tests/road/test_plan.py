@@ -20,17 +20,14 @@ UNHURRIED = replace(PLANNING, desired_speed=10.0)
 def planned(scene, model="idm", planning=PLANNING, last=None):
     """The best plan if one model predicts everybody."""
     models = np.full(SHAPE.paths, TRAFFIC_MODELS.index(model), np.int32)
-    return jax.tree.map(
-        np.asarray, plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING))
-    )
+    plan = plan_of(scene, planning, WEIGHTS, models, last or no_plan(PLANNING))
+    return jax.tree.map(np.asarray, plan)
 
 
 def between(scene, left, right):
     """The scene, on a road with these edges, in lanes."""
-    return replace(
-        scene,
-        edges=np.tile(np.float32([[left * LANE], [right * LANE]]), SHAPE.route_knots),
-    )
+    edges = np.float32([[left * LANE], [right * LANE]])
+    return replace(scene, edges=np.tile(edges, SHAPE.route_knots))
 
 
 def asked(*cars):
@@ -46,7 +43,7 @@ CIRCLE = scene_of(
     bend=1 / 30, robot=(0.0, 0.3, 0.05, 11.0), cars=[(20.0, 0, 9.0), (-8.0, -1, 12.0)]
 )
 ONCOMING = coming(scene_of(cars=[SLOW, (120, -1, 20.0)]), 1)
-# with the final lane of the robot, counted to the right, and its final speed
+# Each with the final lane of the robot, counted to the right, and its final speed.
 SCENES = {
     "a free road": (scene_of(), 0, 29.2),
     "a slow car ahead": (scene_of(cars=[SLOW]), 1, 29.9),
@@ -77,7 +74,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_car(
+def test_plans_under_every_model_are_possible_and_reach_the_lane(
     name,
 ):
     scene, lane, speed = SCENES[name]
@@ -93,7 +90,7 @@ def test_under_every_model_plans_reach_the_right_lane_within_the_limits_of_the_c
             assert np.asarray(states)[-1, 3] == pytest.approx(speed, abs=0.5)
 
 
-def test_before_a_wall_of_cars_the_best_plan_brakes_hardest_and_is_marked_as_broken():
+def test_before_a_wall_of_cars_the_broken_plan_brakes_hardest():
     plan = planned(scene_of(cars=[(28.0, lane, 0.0) for lane in (-1, 0, 1)]))
     assert plan.broken
     assert plan.controls[0, 1] < -0.95 * PLANNING.grip
@@ -104,13 +101,13 @@ def final_place(scene, model):
     return planned(scene, model).predictions[0, -1, 0]
 
 
-def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_in():
+def test_theory_of_mind_expects_commuters_to_brake_for_the_robot():
     cut_in = scene_of(robot=(0.0, 2.5, 0.06, 20.0), cars=[(-14.0, 1, 26.0)])
     kept = -14.0 + 26.0 * PLANNING.steps * PLANNING.time_step
     assert final_place(cut_in, "naive") == pytest.approx(kept, abs=0.05)
-    observed = np.where(np.arange(SHAPE.paths) == 0, -6.0, 0.0).astype(
-        np.float32
-    )  # as its model predicts
+
+    # The commuter brakes as its model predicts.
+    observed = np.where(np.arange(SHAPE.paths) == 0, -6.0, 0.0).astype(np.float32)
     braking = final_place(replace(cut_in, accelerations=observed), "tom")
     assert braking < kept - 1.0
     beside = scene_of(robot=(0.0, -4.0, 0.0, 20.0), cars=[(-14.0, 1, 26.0)])
@@ -118,7 +115,7 @@ def test_under_theory_of_mind_the_robot_expects_a_commuter_to_brake_as_it_cuts_i
 
 
 @pytest.mark.parametrize("side", [-1, 1])
-def test_the_robot_passes_an_obstacle_in_a_bend_on_the_shorter_side_and_returns_to_its_lane(
+def test_obstacles_in_bends_are_passed_on_the_shorter_side(
     side,
 ):
     scene = wrecked(
@@ -152,7 +149,7 @@ def country_road(*cars):
     return replace(between(scene, -0.5, 0.5), open=ONE_LANE)
 
 
-def test_a_plan_waits_behind_a_wreck_for_an_oncoming_car_and_leaves_room_to_turn_round_the_wreck():
+def test_a_plan_waits_behind_a_wreck_with_room_to_turn():
     scene = coming(wrecked(country_road((26.0, 0, 0.0), (48.0, -1, 8.0)), 0), 1)
     plan = planned(scene, "naive", UNHURRIED)
     x, y, _ = plan.path.T
@@ -161,6 +158,6 @@ def test_a_plan_waits_behind_a_wreck_for_an_oncoming_car_and_leaves_room_to_turn
     assert x[-1] + 2.5 < 26.0 - 2.5 - 4.0
 
 
-def test_a_plan_does_not_leave_its_road_for_a_queue_that_will_drive_on():
+def test_a_plan_does_not_leave_its_road_for_a_queue():
     plan = planned(country_road((20.0, 0, 0.0)), "naive", UNHURRIED)
     assert abs(plan.path[:, 1]).max() < 0.5

@@ -25,9 +25,8 @@ FOLLOWING = np.ones(SHAPE.paths, bool)
 NOBODY = np.zeros(SHAPE.paths, bool)
 KEEPING = (0.0, 0.0)
 HARD = (0.0, -4.9)
-LENGTHS = (
-    5.0 + 2.5
-)  # m, from a centre to the rear axle of the car behind where the bumpers touch
+# From a centre to the rear axle of the car behind, where the bumpers touch [m].
+LENGTHS = 5.0 + 2.5
 PROPOSALS = len(PROFILES)
 PLANS = Profiles(
     *map(np.array, zip(*PROFILES, strict=True)), controls=np.zeros(PROPOSALS)
@@ -78,13 +77,11 @@ def judged(scene, controls, plans=PLANS, follows=NOBODY, acceleration=0.0):
     ],
     ids=["standing", "fast in traffic", "circle"],
 )
-def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(scene):
+def test_every_step_of_a_proposal_is_within_the_limits(scene):
     wild = np.random.default_rng(0).normal(size=(STEPS, 2)) * [0.3, 10]
     rollouts, *_ = judged(scene, wild, follows=FOLLOWING)
-    states, (curvature, acceleration) = (
-        rollouts.states,
-        np.moveaxis(rollouts.controls, -1, 0),
-    )
+    states = rollouts.states
+    curvature, acceleration = np.moveaxis(rollouts.controls, -1, 0)
     before = np.insert(states[:, :-1, 3], 0, scene.robot[3], axis=1)
     assert np.hypot(before**2 * curvature, acceleration).max() <= GRIP + 1e-4
     assert np.abs(curvature).max() <= PLANNING.curvature
@@ -96,7 +93,7 @@ def test_every_step_of_every_proposal_is_within_the_limits_of_the_car(scene):
 
 
 @pytest.mark.parametrize(("gap", "speed"), [(20.0, 20.0), (10.0, 10.0)])
-def test_a_plan_that_follows_does_not_hit_a_car_ahead_that_brakes_to_a_stop(gap, speed):
+def test_a_plan_that_follows_does_not_hit_a_braking_car(gap, speed):
     scene = scene_of(robot=(0.0, 0.0, 0.0, speed), cars=[(gap + LENGTHS, 0, speed)])
     rollouts, *_ = judged(scene, KEEPING, acceleration=-6.0)
     own = PLANS.follows & ~PLANS.closes_up & (PLANS.lane == OWN)
@@ -118,11 +115,10 @@ def theirs(speed, distance, ahead):
 @pytest.mark.parametrize(
     ("speed", "ahead", "distance"), [(25.0, 22.0, 60.0), (22.0, 25.0, 30.0)]
 )
-def test_followers_are_predicted_as_highway_env_moves_them_behind_others_and_behind_the_robot(
-    speed, ahead, distance
-):
+def test_followers_are_predicted_as_highway_env_moves_them(speed, ahead, distance):
     led = scene_of(cars=[(40.0, 1, speed), (40.0 + distance, 1, ahead)])
-    led.leaders[0], led.gaps[0] = 1, distance
+    led.leaders[0] = 1
+    led.gaps[0] = distance
     behind = scene_of(robot=(0.0, 0.0, 0.0, ahead), cars=[(2.5 - distance, 0, speed)])
     for scene in (led, behind):
         rollouts, *_ = judged(scene, KEEPING, follows=FOLLOWING)
@@ -147,7 +143,9 @@ def crossing():
     """A robot, and a car that will cross its route from the left at s = 40."""
     scene = scene_of(robot=(26.0, 0.0, 0.0, 8.0), cars=[(0.0, 0, 10.0)])
     along = np.arange(SHAPE.path_knots) * SPACING - BEHIND - 12.0
-    scene.paths.x[0], scene.paths.y[0], scene.paths.heading[0] = 40.0, along, np.pi / 2
+    scene.paths.x[0] = 40.0
+    scene.paths.y[0] = along
+    scene.paths.heading[0] = np.pi / 2
     return scene
 
 
@@ -162,30 +160,30 @@ PURSUED = scene_of(
 @pytest.mark.parametrize(
     ("scene", "controls", "other_lane", "broken"),
     [
-        (scene_of(), (KEEPING, (0.01, 0.0)), OWN, False),  # stays on the road
-        (CLOSED, TWICE, RIGHT, False),  # changes to no closed lane
-        (
-            PURSUED,
-            (KEEPING, changing(0.008)),
-            RIGHT,
-            False,
-        ),  # does not cut in, though it is rear-ended
-        (crossing(), (HARD, KEEPING), OWN, False),  # stops before a crossing car
-        (before(75.0), (HARD, KEEPING), OWN, False),  # keeps room to stop
-        (before(14.0), ((0.0, -1.0), KEEPING), OWN, True),  # hits more softly
-        (
-            before(22.5),
-            (HARD, (0.03, 0.0)),
-            OWN,
-            True,
-        ),  # hits softly rather than leaves the road
+        (scene_of(), (KEEPING, (0.01, 0.0)), OWN, False),
+        (CLOSED, TWICE, RIGHT, False),
+        (PURSUED, (KEEPING, changing(0.008)), RIGHT, False),
+        (crossing(), (HARD, KEEPING), OWN, False),
+        (before(75.0), (HARD, KEEPING), OWN, False),
+        (before(14.0), ((0.0, -1.0), KEEPING), OWN, True),
+        (before(22.5), (HARD, (0.03, 0.0)), OWN, True),
+    ],
+    ids=[
+        "stays on the road",
+        "changes to no closed lane",
+        "does not cut in, though it is rear-ended",
+        "stops before a crossing car",
+        "keeps room to stop",
+        "hits more softly",
+        "hits softly rather than leaves the road",
     ],
 )
-def test_the_first_of_two_plans_is_preferred_as_the_second_breaks_a_constraint(
+def test_plans_that_break_constraints_are_not_preferred(
     scene, controls, other_lane, broken
 ):
-    """Target lanes are the robot's and the other lane; the first plan may be broken,
-    too.
+    """The second of two plans breaks a constraint; the first may, too.
+
+    Target lanes are the robot's and the other lane.
     """
     controls = [np.broadcast_to(each, (STEPS, 2)) for each in controls]
     lanes = np.resize([OWN, other_lane], PROPOSALS)

@@ -46,9 +46,9 @@ def test_a_view_has_the_coordinates_of_the_drivers_lane(shape):
         )
     driver = road.vehicles[0]
     view = look(driver, observe_road(driver))
-    seen = view.states[
-        [0, 1, 2, 6]
-    ]  # the driver, ahead, behind, and behind in the lane to the right
+
+    # The driver, ahead, behind, and behind in the lane to the right.
+    seen = view.states[[0, 1, 2, 6]]
     np.testing.assert_allclose(
         seen - [seen[0, 0], 0, 0, 0], placed - [30, 0, 0, 0], atol=1e-2
     )

@@ -17,7 +17,7 @@ from ms_highway.road.robot import RoadRobot, steering_of
 GRIP = RoadRobot.usual_grip
 
 
-def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
+def test_in_fine_steps_the_robot_moves_like_highway_envs_car():
     """The rear axle of the car of highway-env is at the origin at first."""
     turns = np.stack(
         [np.linspace(0.12, -0.06, 800), np.linspace(1.0, -2.0, 800)], axis=-1
@@ -48,9 +48,7 @@ def test_in_fine_steps_the_robot_moves_like_highway_envs_car_on_a_bent_road():
 
 @pytest.mark.parametrize("frequency", [5, 15])
 @pytest.mark.parametrize("speed", [0.0, 3.0, 16.0, 30.0])
-def test_no_driver_makes_the_robot_exceed_its_grip_in_any_frame_or_reverse(
-    speed, frequency
-):
+def test_no_driver_exceeds_the_grip_or_reverses_in_any_frame(speed, frequency):
     robot = RoadRobot(
         Road(RoadNetwork.straight_road_network(3, length=10_000)),
         [100.0, 4.0],

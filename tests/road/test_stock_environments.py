@@ -54,15 +54,14 @@ def test_a_commuter_on_a_ramp_merges_before_it_ends():
         environment = commuters_in("merge-v0", seed)
         merging = environment.road.vehicles[-1]
         *_, _ = drive(environment, 25)
-        assert (
-            merging.position[0] > 320.0
-        )  # past the obstacle at the end of the ramp, at 310 m
+        past_the_obstacle = 320.0  # m; it is at the end of the ramp, at 310 m
+        assert merging.position[0] > past_the_obstacle
         assert merging.lane_index[:2] == ("c", "d")
         assert not merging.crashed
 
 
 @pytest.mark.parametrize("name", STOCK)
-def test_in_every_stock_environment_commuters_brake_within_tyres_never_reverse_and_can_be_copied(
+def test_commuters_of_every_stock_environment_drive_within_limits_and_copy(
     name,
 ):
     environment = commuters_in(f"{name}-v0", policy_frequency=5)
@@ -85,7 +84,7 @@ def test_in_every_stock_environment_commuters_brake_within_tyres_never_reverse_a
     "scene",
     ["highway-fast-v0", "merge-v1", "roundabout-v1", "intersection-v2", "exit-v1"],
 )
-def test_commuters_among_themselves_collide_no_more_often_than_highway_envs_drivers(
+def test_commuters_collide_no_more_often_than_highway_envs_drivers(
     scene,
 ):
     collisions = {}
