@@ -144,8 +144,7 @@ class RewardExpansion(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, kw_only=True)
 class Quadratic(Estimator[GameEvidence]):
-    """Algorithm 1: what other rungs would have gained, by a quadratic expansion over
-    some steps of the last plan.
+    """Estimate gains by Algorithm 1: expand the rewards of the last plan's steps.
 
     After a step below the top, the top rung is estimated, as if that had predicted the
     human control that was observed. If the last downward check from the rung in use was
@@ -222,11 +221,13 @@ class Quadratic(Estimator[GameEvidence]):
 
         up, down = each_human(evidence.game, compare)
 
-        # Gain of the rung in use over the first one, for each human.
+        # Gain of the rung in use over the first one. If that is the one below, it was
+        # just compared.
         own = jnp.where(rungs == 0, 0.0, jnp.asarray(memory.gain))
         own = jnp.where((rungs == 1) & jnp.isfinite(down), -down, own)
 
-        # From gains over the rung in use to gains over the first one.
+        # Gains over the first rung: of the rung in use, where anything was compared
+        # with it, of the top, and of the rung below.
         gains = jnp.where(
             in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED
         )
@@ -253,12 +254,8 @@ class Quadratic(Estimator[GameEvidence]):
         state = jnp.asarray(evidence.outcome.before)
 
         def estimate() -> tuple[Scalar, Scalar]:
-            last = self._last_controls(evidence)
-            earned = self._earned(evidence, state, last)
-            expansion = expand(
-                evidence.game, state, last.robot.ravel(), last.human.ravel()
-            )
-            gain = partial(self._gain, evidence.game, state, last, earned, expansion)
+            last = self._last_plan(evidence, state)
+            gain = partial(self._gain, evidence.game, state, last)
 
             def gain_up() -> Scalar:
                 return gain(last.human, evidence.ladder[-1].responds)
@@ -278,35 +275,37 @@ class Quadratic(Estimator[GameEvidence]):
 
         return jax.lax.cond(climbs | checks, estimate, lambda: (none, none))
 
-    def _last_controls(self, evidence: GameEvidence) -> "LastControls":
-        """Return the first controls as observed, the others as planned."""
+    def _last_plan(self, evidence: GameEvidence, state: State) -> "ExpandedPlan":
+        """Return the steps of the last plan, and the rewards around them.
+
+        Args:
+            evidence: of the robot and one human.
+            state: of all cars before the last step.
+        """
+        game = evidence.game
         outcome = evidence.outcome
         plan = outcome.plan
+
+        # The first controls as observed, the others as planned.
         robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
         human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
-        return LastControls(robot, human)
 
-    def _earned(
-        self, evidence: GameEvidence, state: State, last: "LastControls"
-    ) -> Scalar:
-        """Return what the last plan earns: its first reward as observed."""
+        # The first reward as observed, the others as these controls earn them.
         if self.steps == 1:
             later = jnp.zeros(0)
         else:
-            game = evidence.game
-            rewards = step_rewards(
-                game, game.observed_payoff, state, last.robot, last.human[None]
-            )
-            later = rewards[1:]
-        return evidence.outcome.reward + jnp.sum(later)
+            payoff = game.observed_payoff
+            later = step_rewards(game, payoff, state, robot, human[None])[1:]
+        earned = outcome.reward + jnp.sum(later)
+
+        expansion = expand(game, state, robot.ravel(), human.ravel())
+        return ExpandedPlan(robot, human, earned, expansion)
 
     def _gain(
         self,
         game: Game,
         state: State,
-        last: "LastControls",
-        earned: Scalar,
-        expansion: RewardExpansion,
+        last: "ExpandedPlan",
         expected: Controls,
         responds: bool,
     ) -> Scalar:
@@ -315,37 +314,39 @@ class Quadratic(Estimator[GameEvidence]):
         Args:
             game: of the robot and one human.
             state: of all cars before the step.
-            last: controls of both.
-            earned: by them.
-            expansion: of the rewards around them.
+            last: what happened under the rung in use.
             expected: controls of the human that the model predicts.
             responds: whether the human responds under the model.
         """
         # The best change of the robot's controls under the model.
-        influence = expansion.influence
+        influence = last.expansion.influence
         if not responds:
             influence = jnp.zeros_like(influence)
         surprise = (expected - last.human).ravel()
-        change = change_of_control(expansion, surprise, influence, self)
+        change = change_of_control(last.expansion, surprise, influence, self)
 
         # What it earns as the human really responds.
-        response = (expansion.influence @ change).reshape(last.human.shape)
+        response = (last.expansion.influence @ change).reshape(last.human.shape)
         robot = last.robot + change.reshape(last.robot.shape)
         human = last.human + response
         rewards = step_rewards(game, game.observed_payoff, state, robot, human[None])
-        return (jnp.sum(rewards) - earned) / len(robot)
+        return (jnp.sum(rewards) - last.earned) / len(robot)
 
 
-class LastControls(NamedTuple):
-    """What robot and human did in the last step, and planned for the next ones.
+class ExpandedPlan(NamedTuple):
+    """Some steps of the last plan, and the rewards around them.
 
     Attributes:
-        robot: its scaled controls.
+        robot: scaled controls of the robot.
         human: those of the human.
+        earned: rewards of the robot for these steps, added up.
+        expansion: of the rewards, around these controls.
     """
 
-    robot: Controls
-    human: Controls
+    robot: Float[jax.Array, "steps 2"]
+    human: Float[jax.Array, "steps 2"]
+    earned: Scalar
+    expansion: RewardExpansion
 
 
 def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
