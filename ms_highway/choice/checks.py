@@ -127,7 +127,7 @@ def checked_estimate(
 
     Raises:
         ValueError: if it is no estimate, if the gains are not one real number for each
-            human and rung, or if `failed` is not one boolean.
+            human and rung, or if ``failed`` is not one boolean.
     """
     name = names.estimator
     if not isinstance(estimate, Estimate):
