@@ -61,7 +61,7 @@ def _whole_number(most: int) -> Meta:
 
 
 class Settings(Struct, frozen=True):
-    """The keys of an `InteractionEnv` that highway-env does not have.
+    """The keys of `ms_highway.InteractionEnv` that highway-env does not have.
 
     The text behind each key is its row in ``notebooks/REFERENCE.md``. A default that is
     not named there is the scenario's.

@@ -188,7 +188,7 @@ def test_nested_configurations_merge_and_a_new_type_replaces():
     assert env.config["human_reward"] == {"speed": 3.0}
 
 
-def test_all_changes_during_an_episode_act_from_the_next_reset_on():
+def test_changes_during_an_episode_act_from_the_next_reset():
     changes = {"controller": NAIVE | {"model": "turn"}, "duration": 0.2}
     env = make(PAIR, duration=0.3).unwrapped
     env.reset()
@@ -252,7 +252,7 @@ def test_spaces_follow_a_configuration_at_once_when_no_episode_runs():
         ),  # highway-env's own words
     ],
 )
-def test_a_reset_that_is_refused_leaves_the_episode_as_it_was(options, message):
+def test_a_refused_reset_leaves_the_episode_as_it_was(options, message):
     env = make(PAIR).unwrapped
     env.reset()
     env.step(0)
@@ -403,7 +403,7 @@ def rules(monkeypatch):
 
 
 @pytest.mark.usefixtures("rules")
-def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_rule_has_one():
+def test_a_rule_of_ones_own_drives_by_its_short_name():
     for rule in (Plain, Dear, Dear, Cheapest):  # a rule may replace itself
         add_rule(rule)
     assert drive(make(SEVERAL, "plain"), steps=1).infos[0]["models"] == (
@@ -428,7 +428,7 @@ def test_a_rule_of_ones_own_drives_by_its_short_name_which_has_a_number_if_the_r
             controller_config(wrong)
 
 
-def test_a_class_that_makes_no_rule_is_refused_with_what_to_derive_it_from():
+def test_a_class_that_makes_no_rule_is_refused_with_bases():
     remedy = (
         "; derive it from ms_highway.Chooser and define `choose`, or from"
         " ms_highway.Estimator and define"
@@ -532,7 +532,7 @@ class Bribes(ms_highway.PredictedHuman):
 
 
 @pytest.mark.usefixtures("rules")
-def test_neither_rules_nor_models_nor_callers_can_change_what_the_package_computes_with(
+def test_nobody_can_change_what_the_package_computes_with(
     monkeypatch,
 ):
     add_rule(Overwrites)
@@ -598,7 +598,7 @@ RUNGS = "return one whole number for each human, 1 in all: 0 for naive, 1 for tu
 @pytest.mark.parametrize(
     "loop", ["live", "live, not compiled", "batch", "vector", "functional"]
 )
-def test_a_rule_that_returns_no_rung_is_refused_with_what_it_returned(loop):
+def test_a_rule_that_returns_no_rung_is_refused(loop):
     for rule in (Says, SaysAtOnce, Gains):
         add_rule(rule)
 
@@ -681,7 +681,7 @@ class Unknown(ms_highway.Chooser, tag="unknown"):
 
 
 @pytest.mark.usefixtures("rules")
-def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_missing(
+def test_a_rule_unknown_to_jax_is_refused_with_the_remedy(
     monkeypatch,
 ):
     add_rule(Unknown)
@@ -705,7 +705,7 @@ def test_a_rule_whose_fields_jax_does_not_know_is_refused_with_the_line_that_is_
                 make_it()
 
 
-def test_a_rung_beyond_32_bits_is_not_taken_for_another_one():
+def test_a_rung_beyond_32_bits_is_no_other_rung():
     memory = first_memory(always(MODELS["naive"]), 1)
     for number in (2**32, -(2**32), 2**63 + 1):
         rungs = ms_highway.unestimated(memory, np.array([number])).memory.rungs
@@ -763,7 +763,7 @@ def test_a_name_means_one_thing_whatever_was_added_first(first, second):
 
 @pytest.mark.usefixtures("names")
 @pytest.mark.parametrize("what", KINDS)
-def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(what):
+def test_what_is_added_needs_a_new_name_of_one_word(what):
     taken = [
         *chain(*PACKAGE_NAMES.values()),
         "two words",
@@ -785,7 +785,7 @@ def test_what_is_added_needs_a_name_of_one_word_that_the_package_does_not_use(wh
             KINDS[what](name)
 
 
-def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
+def test_a_scenario_needs_a_new_name_of_one_word():
     for name in ("merger", "two words", "Upper"):
         with pytest.raises(
             ValueError,
@@ -797,7 +797,7 @@ def test_a_scenario_needs_a_name_of_one_word_that_the_package_does_not_use():
 
 
 @pytest.mark.usefixtures("names")
-def test_controllers_that_run_code_of_others_are_told_from_the_packages():
+def test_controllers_that_run_code_of_others_are_known():
     KINDS["a human model"]("mine")
     KINDS["a rule"]("plain")
     KINDS["a human driver"]("coasting")
@@ -829,7 +829,7 @@ def test_learned_values_warn_only_where_they_were_not_learned():
     make("merger-v1", "learned:1+belief", yielding="never")  # measured, see the guide
 
 
-def test_learned_values_warn_among_other_humans_than_those_they_were_learned_among(
+def test_learned_values_warn_among_other_humans(
     monkeypatch,
 ):
     learn = "`ms-highway values learn merger-v1 --set {} --out values.npz`"
@@ -858,7 +858,7 @@ def test_learned_values_warn_among_other_humans_than_those_they_were_learned_amo
     make("merger-v1", "tom", human_driver="coasts", human_reward="published")
 
 
-def test_humans_drive_for_the_reward_of_us101_by_its_name_and_by_its_file(tmp_path):
+def test_the_reward_of_us101_has_a_name_and_a_file(tmp_path):
     file = tmp_path / "mine.json"
     save(shipped("us101"), file)
     games = []

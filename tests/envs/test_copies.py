@@ -43,7 +43,7 @@ def made(name):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_copies_of_a_rendered_environment_drive_alike_and_can_be_rendered(name):
+def test_copies_of_a_rendered_environment_drive_and_render_alike(name):
     env = made(name)
     env.reset(seed=0)
     env.action_space.seed(0)
@@ -90,7 +90,7 @@ def driven_by_an_agent():
         driven_by_an_agent,
     ],
 )
-def test_info_has_the_same_keys_types_and_shapes_from_the_reset_on(made):
+def test_info_has_the_same_form_from_the_reset_on(made):
     env = made()
     first = env.reset(seed=0)[1]
     infos = [

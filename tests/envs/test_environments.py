@@ -117,7 +117,7 @@ def test_an_impossible_action_is_refused_before_anything_moves(
     assert (env.time, env.steps) == (0, 0)
 
 
-def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_it(
+def test_a_control_divided_by_the_ranges_is_its_action(
     turned,
 ):
     copy = make("merger", action=ACTION)
@@ -137,7 +137,7 @@ def test_a_control_divided_by_the_ends_of_the_ranges_is_the_action_that_repeats_
     )  # beyond the default range
 
 
-def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
+def test_gradient_steps_suit_the_horizon_and_longer_ones_warn():
     assert make("merger", horizon=10).unwrapped.game.planner.solver.iterations == 58
     with pytest.warns(
         UserWarning, match=r"step_size'\] is 0.03: plans of 10 steps of 0.1 s overshoot"
@@ -146,7 +146,7 @@ def test_gradient_steps_suit_the_horizon_and_longer_ones_give_one_warning():
     assert [each.category for each in warned].count(UserWarning) == 1
 
 
-def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_paid_for(
+def test_a_model_without_finite_predictions_warns_and_costs(
     monkeypatch,
 ):
     lost = type(
@@ -175,7 +175,7 @@ def test_a_model_without_finite_predictions_is_warned_of_in_the_first_step_and_p
         )
 
 
-def test_a_collision_costs_reward_is_reported_and_ends_the_episode_only_if_asked():
+def test_a_collision_costs_reward_and_ends_episodes_if_asked():
     starts = np.array([[0, 0, 0.0, 20.0], [-8, -3.3, 0.0, 20.0], [3, 0.0, 0.0, 20.0]])
     for terminate, steps in ((False, 2), (True, 1)):
         _, states, rewards, infos = drive(
@@ -229,9 +229,7 @@ def test_seeds_are_whole_numbers_also_of_numpy(name):
         ("dense_merge", "nearest:1", {"semantics": "physical"}),
     ],
 )
-def test_whole_turns_of_a_cars_heading_change_nothing_in_an_episode(
-    scenario, controller, config
-):
+def test_whole_turns_of_a_heading_change_no_episode(scenario, controller, config):
     env = make(scenario, controller, **config)
     env.reset(seed=0)
     starts = env.unwrapped.car_states - [0, 0, 0.01, 0]
@@ -277,7 +275,7 @@ def weights_of(game):
     return {name: float(value) for name, value in values if value}
 
 
-def test_given_weights_change_the_human_and_the_robots_models_of_it_alike():
+def test_given_weights_change_humans_and_their_models_alike():
     own = []
     believed = []
     for reward in ("published", {"speed": 40.0, "lane_alignment": 75.0, "gap": 0.0}):
@@ -321,9 +319,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.slow
-def test_forked_and_other_workers_of_a_vector_environment_find_and_step_the_environment(
-    tmp_path,
-):
+def test_all_kinds_of_workers_find_and_step_environments(tmp_path):
     script = tmp_path / "vector.py"
     script.write_text(VECTOR)
     assert python(script, timeout=600).stderr == ""
@@ -348,11 +344,17 @@ from jax._src import xla_bridge
 
 import ms_highway
 
+controllers = [
+    {"type": "learned", "lambda": 1.0},
+    {"type": "switching", "lambda": 1.0},
+    {"type": "horizon", "lambda": 1.0},
+    {"type": "budget", "milliseconds": 20},
+    {"type": "nearest", "count": 1},
+]
 for name in [name for name in gym.registry if name.startswith("ms-highway/")]:
-    for controller in ["learned", "switching", "horizon", "budget", "nearest"]:
-        numbers = {"budget": {"milliseconds": 20}, "nearest": {"count": 1}}.get(controller, {"lambda": 1.0})
+    for controller in controllers:
         chooses = "demonstration" not in name and "recorded" not in name
-        env = gym.make(name, config={"controller": {"type": controller} | numbers} if chooses else {})
+        env = gym.make(name, config={"controller": controller} if chooses else {})
         env.reset(seed=0)
         assert not xla_bridge.backends_are_initialized(), (name, controller)
 """
@@ -373,15 +375,18 @@ import numpy as np
 from jax import numpy as jnp
 
 jnp.ones(3).sum()
-merger, driven = "ms-highway/merger-v1", {"action": {"type": "ContinuousAction"}}
-envs, functions = gym.make_vec(merger, num_envs=2, config=driven), ms_highway.FunctionalEnv(merger, driven)
+merger = "ms-highway/merger-v1"
+driven = {"action": {"type": "ContinuousAction"}}
+envs = gym.make_vec(merger, num_envs=2, config=driven)
+functions = ms_highway.FunctionalEnv(merger, driven)
 envs.reset(seed=0)
 actions = np.zeros((2, 2), np.float32)
 warnings.simplefilter("ignore")  # JAX and Python warn of the fork
 
 
 def work():
-    env = gym.make("ms-highway/merger-v0", config={"controller": {"type": "fixed", "model": "naive"}})
+    controller = {"type": "fixed", "model": "naive"}
+    env = gym.make("ms-highway/merger-v0", config={"controller": controller})
     env.reset(seed=0)
     inner = env.unwrapped
     demonstration = gym.make("ms-highway/demonstration-v0")
@@ -411,7 +416,7 @@ worker.join()
 
 
 @pytest.mark.slow
-def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_for_ever():
+def test_a_worker_forked_after_jax_began_raises_an_error():
     assert (
         python("-c", FORKED, timeout=600).stdout.count(
             "start it with context='forkserver' or 'spawn'"
@@ -428,9 +433,7 @@ def test_a_worker_forked_after_jax_had_begun_raises_an_error_instead_of_waiting_
         ("recorded", "ContinuousAction"),
     ],
 )
-def test_full_braking_stops_a_car_and_reverses_it_only_within_a_range_of_speeds(
-    name, kind
-):
+def test_full_braking_reverses_only_within_a_range_of_speeds(name, kind):
     brakes = np.array([-1.0, 0.0], np.float32) if kind == "ContinuousAction" else 1
     for speeds, lowest in (({}, 0.0), ({"speed_range": [-2.0, 30.0]}, -2.0)):
         env = gym.make(

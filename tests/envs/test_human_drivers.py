@@ -108,7 +108,7 @@ def added():
 
 
 @pytest.mark.usefixtures("added")
-def test_a_function_drives_the_human_alike_live_and_in_a_batch():
+def test_a_function_drives_humans_alike_live_and_in_batches():
     _, states, *_ = drive(make("merger-v1", human_driver="brakes"), steps=10)
     np.testing.assert_allclose(
         np.diff(states[:, 1, 3]), -0.1, atol=2e-3
@@ -118,7 +118,7 @@ def test_a_function_drives_the_human_alike_live_and_in_a_batch():
 
 
 @pytest.mark.usefixtures("added")
-def test_a_function_that_draws_by_one_key_for_ever_can_be_simulated():
+def test_a_function_that_draws_by_one_key_is_simulated():
     game = make("merger-v1").unwrapped.game
     assert traceable("swerves", game) is swerves_as_it_was_drawn
 
@@ -151,7 +151,7 @@ def test_a_vehicle_of_highway_env_drives_by_itself():
         ),
     ],
 )
-def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, message):
+def test_a_driver_that_is_not_simulated_is_refused(driver, message):
     with pytest.raises(ValueError, match=message):
         batch_of(driver)
     with pytest.raises(ValueError, match="<class 'int'>"):
@@ -167,7 +167,7 @@ def test_a_driver_that_cannot_be_simulated_is_refused_with_the_remedy(driver, me
         {"human_driver": "remembers"},
     ],
 )
-def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_its_environment(
+def test_a_driver_that_remembers_begins_anew_and_is_copied(
     how,
 ):
     env = make("merger-v1", **how)
@@ -226,7 +226,7 @@ def test_a_driver_that_remembers_begins_every_episode_anew_and_is_copied_with_it
         ),
     ],
 )
-def test_a_function_that_is_not_pure_is_found_within_an_episode(driver, role, message):
+def test_an_impure_function_is_found_within_an_episode(driver, role, message):
     with pytest.raises(ValueError, match=message):
         drive(make("merger-v1", **{role: driver}))
 

@@ -29,14 +29,14 @@ def test_gymnasium_makes_the_physical_version_where_none_is_named(name):
     assert title(name).endswith(" v1")
 
 
-def test_robot_and_human_accelerate_by_no_more_than_tyres_hold_in_any_step():
+def test_nobody_accelerates_by_more_than_tyres_hold():
     _, states, _, infos = drive(make("merger-v1"))
     assert {info["status"] for info in infos} == {"planned"}
     before = states[:-1, :2]
     changes = np.diff(states[:, :2], axis=0) / 0.1
-    accelerations = np.hypot(
-        before[..., 3] * changes[..., 2], changes[..., 3]
-    )  # across and along, as tyres feel them
+
+    # Across and along, as tyres feel them.
+    accelerations = np.hypot(before[..., 3] * changes[..., 2], changes[..., 3])
     assert 7.0 < accelerations.max() < GRIP + 0.01
 
 
@@ -56,22 +56,20 @@ def bodies_of(env):
 
 
 @pytest.mark.parametrize("name", ["merger-v1", "stay-back-v1", "dense-merge-v1"])
-def test_a_collision_is_an_overlap_of_bodies_for_rewards_info_success_and_vector_environments(
-    name,
-):
+def test_a_collision_is_an_overlap_of_bodies_everywhere(name):
     """An agent steers into its neighbour, or into cones."""
     config = {"action": {"type": "ContinuousAction"}, "terminate_on_collision": True}
     single = gym.make(f"ms-highway/{name}", config=config)
     many = gym.make_vec(f"ms-highway/{name}", num_envs=2, config=config)
     single.reset(seed=0)
     many.reset(seed=0)
-    terminated = truncated = False
+    steering = 0.12 if name == "stay-back-v1" else -0.12
+    action = np.array([0.5, steering], np.float32)
+    terminated = False
+    truncated = False
     while not (terminated or truncated):
-        speed_up_and_steer = np.array(
-            [0.5, 0.12 if name == "stay-back-v1" else -0.12], np.float32
-        )
-        _, _, terminated, truncated, info = single.step(speed_up_and_steer)
-        _, _, ended, _, infos = many.step(np.tile(speed_up_and_steer, (2, 1)))
+        _, _, terminated, truncated, info = single.step(action)
+        _, _, ended, _, infos = many.step(np.tile(action, (2, 1)))
         robot, others = bodies_of(single.unwrapped)
         overlaps = any(robot.intersects(other) for other in others)
         assert terminated == info["collision"] == info["crashed"] == overlaps
@@ -91,30 +89,23 @@ def test_no_body_overlaps_another_one_under_the_learned_choice(name):
         _, _, _, infos = drive(env, seed)
         assert not any(info["collision"] or info["crashed"] for info in infos)
         robot, others = bodies_of(env.unwrapped)
-        assert all(
-            one.disjoint(two)
-            for one, two in combinations(
-                [robot, *others[: len(env.unwrapped.humans)]], 2
-            )
-        )
+        driving = [robot, *others[: len(env.unwrapped.humans)]]
+        assert all(one.disjoint(two) for one, two in combinations(driving, 2))
 
 
 def driven(scenario, controllers, starts):
     """Return a row for each step of episodes from the same starts."""
-    robots = {controller: make(scenario, controller) for controller in controllers}
-    steps = (
-        (name, seed, step)
-        for name, env in robots.items()
-        for seed in range(starts)
-        for step in episode(env, seed)
-    )
-    return pd.DataFrame(
-        [step | {"controller": name, "seed": seed} for name, seed, step in steps]
-    )
+    rows = []
+    for controller in controllers:
+        env = make(scenario, controller)
+        for seed in range(starts):
+            where = {"controller": controller, "seed": seed}
+            rows += [step | where for step in episode(env, seed)]
+    return pd.DataFrame(rows)
 
 
 @drives_long
-def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not():
+def test_the_learned_choice_avoids_collisions_in_stay_back():
     steps = driven("stay-back-v1", ["naive", "learned:1"], 12)
     episodes = steps.groupby(["controller", "seed"]).agg(
         {"reward": "mean", "collision": "any"}
@@ -125,20 +116,13 @@ def test_in_stay_back_naive_predictions_collide_and_the_learned_choice_does_not(
 
 
 @drives_long
-def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_succeeds():
+def test_a_choice_that_seldom_thinks_succeeds_among_several_humans():
     """On the first of the starts of the results page, where 38, 97 and 98 % succeed."""
-    steps = simulated(
-        Comparison(
-            {"dense-merge-v1": ["naive", "tom", "learned:1"]}, 30, first_seed=3000
-        )
-    )
+    controllers = {"dense-merge-v1": ["naive", "tom", "learned:1"]}
+    steps = simulated(Comparison(controllers, 30, first_seed=3000))
     assert not steps["collision"].any()
-    success = (
-        steps.groupby(["controller", "seed"])["success"]
-        .last()
-        .groupby("controller")
-        .mean()
-    )
+    ends = steps.groupby(["controller", "seed"])["success"].last()
+    success = ends.groupby("controller").mean()
     assert success["naive"] <= 0.5
     assert min(success["tom"], success["learned:1"]) >= 0.95
     means = steps.groupby("controller")[["reward", "counted_seconds"]].mean()
@@ -151,17 +135,13 @@ def test_among_several_humans_naive_plans_fail_and_a_choice_that_seldom_thinks_s
 
 @drives_long
 @pytest.mark.parametrize("name", ["merger-v1", "give-way-v1"])
-def test_the_learned_choice_keeps_the_gain_of_theory_of_mind_without_a_collision(name):
+def test_the_learned_choice_keeps_theory_of_minds_gain_safely(name):
     steps = driven(name, ["naive", "tom", "learned:1", "switching:0.1"], 12)
     assert not steps["collision"].any()
     algorithm_1 = steps[steps["controller"] == "switching:0.1"]
     assert {*algorithm_1["status"]} == {"planned"}
-    assert (
-        algorithm_1["gains"]
-        .map(lambda gains: np.isfinite([*gains.values()]).any())
-        .any()
-    )
+    estimated = [np.isfinite([*each.values()]).any() for each in algorithm_1["gains"]]
+    assert any(estimated)
     rewards = steps.groupby("controller")["reward"].mean()
-    assert rewards["learned:1"] - rewards["naive"] > 0.97 * (
-        rewards["tom"] - rewards["naive"]
-    )
+    gained = rewards - rewards["naive"]
+    assert gained["learned:1"] > 0.97 * gained["tom"]

@@ -49,9 +49,7 @@ def test_a_frame_shows_cars_plan_and_model_in_their_colours():
 
 @pytest.mark.filterwarnings("ignore:.*is out of date:DeprecationWarning")
 @pytest.mark.parametrize("driver", [None, "dummy"])
-def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_others(
-    driver, monkeypatch
-):
+def test_pictures_are_not_black_and_change_nothing_else(driver, monkeypatch):
     monkeypatch.delenv("SDL_VIDEODRIVER", raising=False)
     if driver:
         monkeypatch.setenv("SDL_VIDEODRIVER", driver)
@@ -62,22 +60,21 @@ def test_pictures_are_not_black_and_change_neither_the_process_nor_pictures_of_o
         gym.make("ms-highway/recorded-v0", render_mode="rgb_array"),
         drive(gym.make("highway-fast-v0", render_mode="rgb_array", config=config)),
     ]
-    if not driver:  # highway-env's own pictures are black under a dummy driver
+    # highway-env's own pictures are black under a dummy driver.
+    if not driver:
         envs += [gym.make("highway-fast-v0", render_mode="rgb_array", config=config)]
     for env in envs:
         observation, _ = env.reset(seed=0)
         assert env.render().std() > 10
-        assert (
-            observation.std() > 10
-            or env.unwrapped.config["observation"]["type"] != PIXELS["type"]
-        )
+        kind = env.unwrapped.config["observation"]["type"]
+        assert kind != PIXELS["type"] or observation.std() > 10
     assert os.environ == before
 
 
 @pytest.mark.parametrize(
     ("controller", "chooses"), [("turn", False), ("switching:0.1", True)]
 )
-def test_the_panel_gives_a_reason_only_if_the_model_is_chosen(controller, chooses):
+def test_the_panel_gives_a_reason_only_for_chosen_models(controller, chooses):
     reason = rendered(controller)[-42:, : PANEL_LAYOUT.text_width - 60]
     assert (reason != PALETTE.paper).any() == chooses
 
@@ -92,11 +89,10 @@ def test_a_video_of_two_controllers_shows_both_under_their_names(films):
 
 
 def test_one_command_films_two_controllers_and_scales_the_video_down(films, tmp_path):
-    run(
-        "video merger --controller naive --against turn --seed 1 --width 480 --out"
-        f" {tmp_path / 'film.mp4'}"
-    )
-    video = imageio.imread(tmp_path / "film.mp4", plugin="pyav")
+    film = tmp_path / "film.mp4"
+    options = "--controller naive --against turn --seed 1 --width 480"
+    run(f"video merger {options} --out {film}")
+    video = imageio.imread(film, plugin="pyav")
     assert video.shape == (40, 408, 480, 3)
     road = slice(HEADING.height // 2, HEADING.height // 2 + 100)
     expected = scaled(side_by_side(films), 480)[20][road]

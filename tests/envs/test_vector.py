@@ -58,7 +58,7 @@ def test_each_environment_equals_a_single_one_of_its_seed(scenario, config):
             np.testing.assert_array_equal(mine[4][name], other[4][name], name)
 
 
-def test_in_a_chaotic_scene_the_first_steps_agree_with_single_environments():
+def test_first_steps_in_chaos_agree_with_single_environments():
     """Later, rounding decides which models are chosen; notebooks/REFERENCE.md says by
     how much episodes differ.
     """
@@ -89,7 +89,7 @@ def test_a_robot_that_has_collided_does_not_succeed():
     assert mine["success"].tolist() == (~collided).tolist() == [False, False, True]
 
 
-def test_no_nan_stops_a_driven_environment_where_a_program_looks_for_nans():
+def test_no_nan_stops_programs_that_look_for_nans():
     envs = gym.make_vec(NAME + "dense-merge-v0", num_envs=3, config=DRIVING)
     envs.reset(seed=0)
     jax.config.update("jax_debug_nans", True)  # in all threads
@@ -113,7 +113,7 @@ def rewards_of_two_steps(scenario):
 
 
 @pytest.mark.slow
-def test_pure_functions_have_derivatives_in_reverse_mode_only_where_plans_take_a_fixed_number_of_steps():
+def test_reverse_derivatives_need_plans_of_fixed_length():
     rewards = rewards_of_two_steps("merger-v0")
     action = np.float32([0.1, 0.02])
     shifted = action + 0.01 * np.float32([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -157,7 +157,7 @@ def test_episodes_begin_anew_as_gymnasium_says(mode):
             np.testing.assert_allclose(mine, other, atol=1e-5)
 
 
-def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
+def test_jitted_and_vmapped_functions_equal_the_environment():
     config = CHOOSING | {"ladder": ["naive", "idm"]}
     env = FunctionalEnv("merger-v1", config)
     single = gym.make(NAME + "merger-v1", config=config)
@@ -180,7 +180,7 @@ def test_pure_functions_can_be_jitted_and_vmapped_and_equal_the_environment():
         env.step(state, np.array([2]))
 
 
-def test_a_scenario_is_known_by_its_name_and_by_its_id():
+def test_a_scenario_is_known_by_name_and_id():
     for name in ("merger", "merger-v0", "ms-highway/merger-v0", NAME + "merger-v0"):
         assert scenario_name(name) == "merger"
     assert scenario_name("stay_back-v0") == scenario_name("stay-back-v0") == "stay_back"
@@ -208,9 +208,7 @@ def test_draws_that_jax_lacks_are_refused_with_the_known_ones():
         ({"costs": "measured"}, "cannot measure plans"),
     ],
 )
-def test_a_configuration_that_is_not_simulated_is_refused_with_the_remedy(
-    config, message
-):
+def test_a_configuration_that_is_not_simulated_is_refused(config, message):
     with pytest.raises(ValueError, match=message):
         gym.make_vec(NAME + "merger-v1", num_envs=2, config=config)
 
@@ -303,7 +301,7 @@ def test_pure_functions_refuse_impossible_actions(config, action, message):
         env.step(None, action)
 
 
-def test_observations_tell_states_and_the_distance_to_cones_within_finite_bounds():
+def test_observations_tell_states_and_cones_within_bounds():
     env = gym.make(NAME + "stay-back-v1").unwrapped
     observation, _ = env.reset(seed=0)
     assert np.abs([env.observation_space.low, env.observation_space.high]).max() < 100
