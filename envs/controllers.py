@@ -275,7 +275,7 @@ class ControllerSettings:
         """Time of a cycle [s], None without one."""
         if not isinstance(self.chooser, Knapsack):
             return None
-        return self.chooser.seconds
+        return float(self.chooser.seconds)
 
     def without_price(self) -> Self:
         """Return the settings at a lambda of 0.

@@ -47,7 +47,7 @@ class Knapsack(Chooser[Evidence]):
     deciding: Scalar = field(default=0.0, metadata=FROM_START)
 
     @property
-    def seconds(self) -> float:
+    def seconds(self) -> Scalar:
         """Duration of a cycle [s]."""
         return self.milliseconds * 1e-3
 

@@ -57,7 +57,7 @@ SHIPPED_VALUES = "shipped"
 # Networks
 
 Layer: TypeAlias = tuple[
-    Float[Array, "networks inputs outputs"], Float[Array, "networks outputs"]
+    Float[Array, "networks _inputs _outputs"], Float[Array, "networks _outputs"]
 ]
 """Weights and biases of one layer of several networks."""
 

@@ -23,7 +23,12 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array, SameArray, Scalar
+from ms_highway.runtime.arrays import (
+    Array,
+    Numbers,
+    SameArray,
+    Scalar,
+)
 
 
 @jax.tree_util.register_dataclass
@@ -89,7 +94,7 @@ def facing(states: Float[Array, "*shape 4"]) -> Float[np.ndarray, "*shape 4"]:
     return faced
 
 
-def _resistance(dynamics: Dynamics, speed: SameArray) -> SameArray:
+def _resistance(dynamics: Dynamics, speed: Numbers) -> Numbers:
     """Return the deceleration by friction [m/s^2]."""
     power = speed if dynamics.friction == "linear" else speed**2
     return power * dynamics.drag

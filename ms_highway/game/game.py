@@ -254,7 +254,9 @@ def move_all(
     return for_rows(partial(move, game), cars, controls)
 
 
-def with_scripted(game: Game, state: State, players: Trajectories) -> Trajectories:
+def with_scripted(
+    game: Game, state: State, players: Trajectories
+) -> Float[jax.Array, "all_cars fields steps"]:
     """Return the trajectories of some cars, then those of the scripted cars after them.
 
     Scripted cars keep their velocity.

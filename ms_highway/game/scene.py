@@ -11,6 +11,7 @@ from ms_highway.geometry.bodies import nearest_ahead
 from ms_highway.geometry.curve import namespace
 from ms_highway.runtime.arrays import (
     Array,
+    Numbers,
     Numeric,
     SameArray,
     Scalar,
@@ -95,7 +96,7 @@ class Scene:
         """Whether a collision is an overlap of bodies, see ``contact``."""
         return self.contact == "bodies"
 
-    def is_reached(self, y: Float[Array, "*cars"]) -> Bool[Array, "*cars"]:
+    def is_reached(self, y: Numbers) -> Bool[Array, "..."] | np.bool:
         """Return whether cars at lateral positions have reached the target lane."""
         distance = y - float(self.target_lane)
         return namespace(y).abs(distance) < self.arrival_tolerance
@@ -200,7 +201,7 @@ def neighbours(
 def headways(
     driver: Float[SameArray, "*batch 4"],
     around: Float[SameArray, "*batch 6 4"],
-    length: float,
+    length: Scalar,
 ) -> Float[SameArray, "*batch 6"]:
     """Return the time gaps between a driver and its neighbours [s].
 

@@ -21,10 +21,10 @@ CORNERS = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1)], dtype=np.float32)
 MIDDLES = np.array([(0.5, 0), (-0.5, 0), (0, 0.5), (0, -0.5), (0, 0)], dtype=np.float32)
 """Middles of the edges and of the body, in shares of its size."""
 
-Sizes = Float[Array, "*bodies 2"]
+Sizes = Float[Array, "... 2"]
 AnySizes = Sizes | tuple[float, float]
 AnyPose = tuple[Numeric, Numeric, Numeric]
-Flags = Bool[Array, "*shape"]
+Flags = Bool[Array, "..."]
 Directions = tuple[Numeric, Numeric]
 """Numbers along and across a body."""
 

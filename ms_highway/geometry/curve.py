@@ -13,7 +13,7 @@ from typing import ClassVar, Literal, TypeVar
 import jax
 import numpy as np
 from jax import numpy as jnp
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ms_highway.runtime.arrays import Array, Numbers, Numeric
 
@@ -195,7 +195,7 @@ def interpolate(
 
 def _between(
     samples: int, s: Numeric, start: Numeric, spacing: float
-) -> tuple[Numbers, Numbers]:
+) -> tuple[Int[Array, "..."] | np.integer, Numbers]:
     """Return the number of the sample before s, and the share of the way onwards."""
     xp = namespace(s)
     position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)
@@ -212,7 +212,7 @@ def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
     return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
 
 
-def resample(rows: Rows, spacing: float) -> Rows:
+def resample(rows: Rows, spacing: float) -> Float[np.ndarray, "rows resampled"]:
     """Interpolate the rows of a line at equal distances along it.
 
     The first two rows are x and y [m].

@@ -237,7 +237,9 @@ def _sampled(
     return parts
 
 
-def _bridged(ways: Row, points: Points, headings: Row) -> Rows:
+def _bridged(
+    ways: Row, points: Points, headings: Row
+) -> Float[np.ndarray, "rows bridged"]:
     """Return rows of x, y and way, evenly spaced along a Hermite spline."""
     spacing = LANE_PATHS.spacing
     along = arc_lengths(points.T)

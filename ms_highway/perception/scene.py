@@ -39,13 +39,13 @@ SHAPE = SceneShape()
 Steps = Float[Array, "*shape steps"]
 States = Float[Array, "*plans steps 4"]
 PlanLanes = Int[Array, "*plans"]
-Plans = Float[Array, "plans"]
-PlanFlags = Bool[Array, "plans"]
+Plans = Float[Array, "*plans"]
+PlanFlags = Bool[Array, "*plans"]
 EachCar = Float[Array, "*plans traffic"]
 EachFlag = Bool[Array, "*plans traffic"]
 EachStep = Float[Array, "*plans traffic steps"]
 
-World = Float[Array, "*shape 4 steps"]
+World = Float[Array, "... 4 steps"]
 """x, y, heading and speed of cars after each step, in world coordinates."""
 
 Traffic = Float[Array, "traffic"]
@@ -112,7 +112,7 @@ class RoadScene:
         return self.owners >= 0
 
     @property
-    def askew(self) -> Sizes:
+    def askew(self) -> Float[Array, "traffic 1"]:
         """Constant part of the angle of each of the others to its path.
 
         It is 0 for cars that drive.

@@ -140,7 +140,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
     def __init__(
         self,
         road: Road | None,
-        position: Sequence[float],
+        position: Sequence[float] | np.ndarray,
         heading: float = 0,
         speed: float = 0,
     ) -> None:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from jax import numpy as jnp
+from jaxtyping import Bool, Int
 
 from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.bodies import separation
@@ -30,7 +31,7 @@ from ms_highway.road.traffic import (
     lane_of,
     lowest,
 )
-from ms_highway.runtime.arrays import Numbers
+from ms_highway.runtime.arrays import Array, Numbers
 
 
 @dataclass(frozen=True)
@@ -326,7 +327,7 @@ def _collisions(
 
 def _counts(
     situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
-) -> EachFlag:
+) -> Bool[Array, "*plans traffic steps"]:
     """Return in which steps the robot is to blame for touching each of the others.
 
     A follower in the robot's lane is ignored as long as both keep this lane, even if it

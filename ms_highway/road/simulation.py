@@ -25,7 +25,12 @@ from ms_highway.road.plan_control import plan_control
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.robot_motion import GRIP_USE, advance, bodies
 from ms_highway.road.traffic import Situation
-from ms_highway.runtime.arrays import Car, Control, ManyControls, Scalar
+from ms_highway.runtime.arrays import (
+    Car,
+    Control,
+    ManyControls,
+    Numeric,
+)
 
 
 class SimulatedPlans(NamedTuple):

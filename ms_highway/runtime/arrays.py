@@ -9,7 +9,7 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from reprlib import repr as shortened
-from typing import Annotated, Any, NewType, NoReturn, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NewType, NoReturn, TypeAlias, TypeVar
 
 import jax
 import msgspec
@@ -26,9 +26,13 @@ Index: TypeAlias = Int[Array, ""] | np.integer | int
 Flag: TypeAlias = Bool[Array, ""] | np.bool | bool
 Vector: TypeAlias = Float[Array, "n"]
 Matrix: TypeAlias = Float[jax.Array, "n n"]
-Numbers: TypeAlias = Float[Array, "..."]
 Numeric: TypeAlias = Float[Array, "..."] | np.floating | float
 """An array of numbers, or a single number."""
+
+if TYPE_CHECKING:
+    Numbers: TypeAlias = Float[Array, "..."]
+else:  # what NumPy computes from arrays without axes are scalars of its own
+    Numbers = Float[Array, "..."] | np.floating
 
 Control: TypeAlias = Float[Array, "2"]
 Controls: TypeAlias = Float[Array, "steps 2"]

@@ -66,7 +66,7 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
     def __init__(
         self,
         road: Road | None,
-        position: Sequence[float],
+        position: Sequence[float] | np.ndarray,
         heading: float = 0,
         speed: float = 0,
     ) -> None:
