@@ -386,7 +386,7 @@ def _pose(world: World) -> Pose:
     return x, y, heading
 
 
-def _first(happens: Numbers) -> Numbers:
+def _first(happens: Bool[Array, "*rows steps"]) -> Int[Array, "*rows 1"]:
     """Return the number of the first step in which something happens.
 
     It is the number of steps where nothing does.

@@ -128,7 +128,7 @@ def _slip_angles(scene: RoadScene, along: EachStep) -> EachStep:
     return jnp.arcsin(jnp.clip(sine, -largest, largest))
 
 
-def earlier(first: Scalar, values: Steps) -> Steps:
+def earlier(first: Numeric, values: Steps) -> Steps:
     """Shift values by a step.
 
     The first value comes first, the last of the values is dropped.

@@ -392,7 +392,7 @@ def _corners(scene: RoadScene) -> tuple[Numbers, Numbers]:
     return s, d
 
 
-def lowest(values: Numbers, where: Numbers) -> Numbers:
+def lowest(values: Numbers, where: Bool[Array, "..."]) -> Numbers:
     """Return the lowest of the values that count in the last axis.
 
     It is `FREE_GAP` where none counts.
@@ -400,7 +400,7 @@ def lowest(values: Numbers, where: Numbers) -> Numbers:
     return jnp.where(where, values, FREE_GAP).min(axis=-1)
 
 
-def highest(values: Numbers, where: Numbers) -> Numbers:
+def highest(values: Numbers, where: Bool[Array, "..."]) -> Numbers:
     """Return the highest of the values that count in the last axis.
 
     It is minus `FREE_GAP` where none counts.
