@@ -42,8 +42,9 @@ HORIZONS = PredictionHorizons()
 def robust_errors(
     paths: CarStates, future: CarStates, chosen: CarFlags
 ) -> tuple[CarStates, CarFlags]:
-    """Return ``sqrt(1 + (error / scale)^2) - 1`` along and across the road at each
-    horizon, for fits.
+    """Return robust errors along and across the road at each horizon, for fits.
+
+    They are ``sqrt(1 + (error / scale)^2) - 1``.
 
     Args:
         paths: predicted positions after each step [*n, 50, cars, 2].

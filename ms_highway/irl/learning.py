@@ -1,5 +1,6 @@
-"""Learn a reward from recordings: cut them into segments, fit the weights,
-cross-validate, compare feature counts.
+"""Learn a reward from recordings.
+
+Cut them into segments, fit the weights, cross-validate, and compare feature counts.
 """
 
 import warnings
@@ -68,13 +69,13 @@ def learn_reward(
     *,
     progress: Progress = silent,
 ) -> LearnedReward:
-    """Learn a reward from all drivers of the recordings; from measured recordings, also
-    learn drivers seconds ahead.
+    """Learn a reward from all drivers of the recordings.
 
-    Drivers that are not `ms_highway.irl.usable.usable` are left out, with a warning
-    that names them. Where a driver never steers or never changes its speed, its
-    controls are exactly the best ones, and weights may grow without bound. Only if they
-    do, these segments are left out as well, with a warning.
+    From measured recordings, also learn drivers seconds ahead. Drivers that are not
+    `ms_highway.irl.usable.usable` are left out, with a warning that names them. Where a
+    driver never steers or never changes its speed, its controls are exactly the best
+    ones, and weights may grow without bound. Only if they do, these segments are left
+    out as well, with a warning.
 
     Args:
         recordings: the recordings to learn from.
@@ -149,8 +150,10 @@ class SegmentData(NamedTuple):
 
 
 def _fit(data: SegmentData, model: RewardModel, real: bool) -> Fit:
-    """Fit the weights; the independent units are drivers if they are real, and segments
-    if they are simulated.
+    """Fit the weights.
+
+    The independent units are drivers if they are real, and segments if they are
+    simulated.
     """
     drivers = data.segments.driver if real else None
     return fit_weights(data.derivatives, model, drivers=drivers)
@@ -207,8 +210,9 @@ def _without_steady(
 def _cross_validate(
     data: SegmentData, found: Fit, validations: int, progress: Progress
 ) -> float | None:
-    """Return the mean log likelihood of segments under weights that were learned from
-    other groups; None with a single group.
+    """Return the mean log likelihood of segments that were not learned from.
+
+    Each fold has its own groups; the result is None with a single group.
 
     Args:
         data: all segments.
@@ -262,16 +266,16 @@ def keeps_velocity(segments: Segments) -> Flags:
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def best_controls(game: Game, segment: Segments) -> Controls:
-    """Return the unscaled controls of a local optimum in each segment under the weights
-    of a `driver_game`.
+    """Return the unscaled controls of a local optimum in each segment.
+
+    The weights are those of a `driver_game`.
     """
     best = optimal(with_segment(game, segment), segment.start, observe(segment.others))
     return best.controls * game.planner.control_scale
 
 
 def expected_features(segments: Segments, found: Fit) -> Vector:
-    """Return the expected sums of the features over a segment under the fit's
-    distribution of controls.
+    """Return the sums of features over a segment that a fit expects.
 
     They are means over the segments, to second order around the best controls u*:
     ``phi(u*) + tr(H_phi S) / 2`` with ``S = T (-H)^-1``, where the eigenvalues of -H

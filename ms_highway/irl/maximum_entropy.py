@@ -73,8 +73,9 @@ class WeightFit:
 
     @property
     def largest_logarithm(self) -> float:
-        """Size of a logarithm beyond which a weight or the temperature diverges: five
-        standard deviations, a factor of 5e8.
+        """Size of a logarithm beyond which a weight or the temperature diverges.
+
+        Five standard deviations are a factor of 5e8.
         """
         return 5 * self.prior_deviation
 
@@ -85,8 +86,9 @@ WEIGHT_FIT = WeightFit()
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class FeatureDerivatives(Rows):
-    """The features of n segments and their derivatives in the d scaled controls, at the
-    recorded controls.
+    """The features of n segments and their derivatives in d scaled controls.
+
+    They are at the recorded controls.
 
     Attributes:
         features: phi, summed along each segment.
@@ -174,8 +176,9 @@ def differentiate(segments: Segments, names: tuple[str, ...]) -> FeatureDerivati
 @jit_quickly
 @partial(jax.vmap, in_axes=(None, 0))
 def _differentiate(game: Game, segment: Segments) -> FeatureDerivatives:
-    """Return the derivatives of all features and of `COMFORT`, so that one compilation
-    serves any choice of them.
+    """Return the derivatives of all features and of `COMFORT`.
+
+    One compilation serves any choice of them.
     """
 
     def features(controls: jax.Array) -> jax.Array:
@@ -197,8 +200,9 @@ def log_likelihoods(
     floor: float,
     tails: float | Scalar | None = None,
 ) -> Vector:
-    """Return Laplace's log p of the scaled controls in every segment; eigenvalues of -H
-    are at least ``floor / T``.
+    """Return Laplace's log p of the scaled controls in every segment.
+
+    Eigenvalues of -H are at least ``floor / T``.
 
     Args:
         derivatives: of the features in every segment.
@@ -243,9 +247,7 @@ def log_likelihoods(
 
 
 def segment_log_likelihoods(derivatives: FeatureDerivatives, found: Fit) -> Vector:
-    """Return `log_likelihoods` of the scaled controls in every segment under a fit, in
-    double precision.
-    """
+    """Return `log_likelihoods` of every segment under a fit, in double precision."""
     model = found.model
     with double_precision():
         theta = np.array([found.weights[name] for name in model.names])
@@ -261,12 +263,12 @@ def fit_weights(
     near: Fit | None = None,
     drivers: Numbers | None = None,
 ) -> Fit:
-    """Fit the weights and the temperature that make segments most likely under a weak
-    prior, in double precision.
+    """Fit the weights and the temperature that make segments most likely.
 
-    The logarithms of the weights' sizes and of the temperature have independent normal
-    priors with mean 0 and standard deviation 4. Where the segments carry no information
-    about a weight, its prior remains, and the covariance shows it.
+    There is a weak prior; numbers are in double precision. The logarithms of the
+    weights' sizes and of the temperature have independent normal priors with mean 0 and
+    standard deviation 4. Where the segments carry no information about a weight, its
+    prior remains, and the covariance shows it.
 
     Args:
         derivatives: of the features ``model.names``, in their order.
@@ -408,8 +410,9 @@ def _segment_likelihoods(
     signs: Parameters,
     given: Parameters,
 ) -> Vector:
-    """Return log p of every segment; the logarithms are those of `Fit`, the others the
-    fields of `FitData`.
+    """Return log p of every segment, given logarithms and the fields of `FitData`.
+
+    The logarithms are those of `Fit`.
     """
     sizes = jnp.exp(logarithms)
     learned = len(signs)

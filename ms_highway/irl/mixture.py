@@ -70,9 +70,7 @@ class Mixture(NamedTuple):
 
 
 def expected_path(modes: Modes) -> Paths:
-    """Return the mean of the modes' paths, the single path from which errors are
-    measured.
-    """
+    """Return the mean of the modes' paths, from which errors are measured."""
     probability = np.asarray(modes.probability)
     return np.einsum("nm,nmtc->ntc", probability, np.asarray(modes.path))
 
@@ -100,10 +98,10 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
 
 
 def density_level(mixture: Mixture, positions: Paths) -> Steps:
-    """Estimate the probability of the region of highest density that has each position
-    on its edge.
+    """Estimate how much probability is denser than each position.
 
-    It is the share of 256 draws from the predicted distribution whose density is
+    This is the probability of the region of highest density that has the position on
+    its edge, estimated by the share of 256 draws from the predicted distribution whose density is
     higher. If the predicted spread is right, levels are distributed uniformly: half of
     the drivers are in the 50 % region.
     """

@@ -162,11 +162,10 @@ def predict_peer(
 
 
 def fit_peers(snapshots: Snapshots) -> dict[str, FittedPeer]:
-    """Fit the spread of every peer, by name, and the parameters of IDM that predict
-    best, in closed loop.
+    """Fit the spread of every peer, by name, and the parameters of IDM.
 
-    Minimises the mean of `robust_errors`, of all cars of a snapshot together, by L-BFGS
-    over the logarithms of the parameters.
+    The parameters minimise the mean of `robust_errors` of all cars of a snapshot that
+    drive on together; by L-BFGS over their logarithms.
     """
     parameters: dict[str, dict[str, float]] = {name: {} for name in PEER_PREDICTORS}
     parameters["fitted_idm"] = structs.asdict(_fit_idm(snapshots))

@@ -63,8 +63,9 @@ def predict_with(
 
 
 def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
-    """Predict the drivers of snapshots by learned drivers: they keep their lane, or
-    change to the left or right.
+    """Predict the drivers of snapshots by learned drivers.
+
+    They keep their lane, or change to the left or right.
     """
     of_all = in_batches(partial(_modes_of_all, drivers), snapshots)
     return Modes(snapshots.drivers(of_all.probability), snapshots.drivers(of_all.path))
@@ -100,10 +101,10 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
 
 
 def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
-    """Return the advantages of the lanes to the left and right [cars, 2, 6], and
-    whether these lanes exist.
+    """Return the advantages of the lanes beside [cars, 2, 6], and which exist.
 
-    The advantages are those that `ms_highway.data.learned_drivers.Intention` weighs.
+    The lane to the left comes first. The advantages are those that
+    `ms_highway.data.learned_drivers.Intention` weighs.
     """
     states = seen_states(snapshot.past[-1])
     centre = lane_centre(snapshot, 0)
@@ -119,8 +120,9 @@ def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
     recent_drift = jnp.where(jnp.isfinite(slope), slope, drift)
 
     def relative_speed(leader: Leader) -> Cars:
-        """Return the speed of leaders relative to their followers, weighed by their
-        nearness [m/s].
+        """Return the speed of leaders relative to their followers [m/s].
+
+        It is weighed by their nearness.
         """
         nearness = 30.0  # m, gap at which the speed of a leader counts 1 / e as much
         gap = jnp.maximum(leader.gap, 0.0)

@@ -67,8 +67,7 @@ class Recording:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Check that states have three axes, and that every driver was seen without a
-        gap, at two times or more.
+        """Check the shape of states, and that every driver was seen without a gap.
 
         Raises:
             ValueError: naming the recording, and the shape or the car.
@@ -106,9 +105,7 @@ def fingerprint(numbers: np.ndarray) -> str:
 
 
 def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
-    """Return the fingerprints of recordings by their group, as files of learned rewards
-    keep them.
-    """
+    """Return the fingerprints of recordings by group, as learned rewards keep them."""
     fingerprints: dict[str, list[str]] = {}
     for recording in recordings:
         fingerprints.setdefault(recording.group, []).append(recording.fingerprint)
@@ -118,12 +115,11 @@ def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
 def known_from(
     recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]
 ) -> list[Recording]:
-    """Return those recordings whose drivers may be among those that were learned from,
-    given their `sources`.
+    """Return the recordings that may share drivers with those learned from.
 
-    A recording may share drivers with one of the same content or, if they were
-    measured, of the same group. Simulated episodes have the same groups in all data
-    sets.
+    Those are given by their `sources`. A recording may share drivers with one of the
+    same content or, if they were measured, of the same group. Simulated episodes have
+    the same groups in all data sets.
     """
     contents = set(chain(*learned_from.values())) - {""}
     return [
@@ -166,8 +162,9 @@ def numbered(recordings: Sequence[Recording]) -> Iterator[NumberedRecording]:
 
 
 def folds(groups: Numbers, number: int) -> list[Flags]:
-    """Return which rows each fold holds out, given their group numbers; every group is
-    held out once.
+    """Return which rows each fold holds out, given their group numbers.
+
+    Every group is held out once.
     """
     names = np.unique(groups)
     parts = np.array_split(names, min(number, len(names)))

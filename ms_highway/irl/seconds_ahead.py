@@ -1,6 +1,6 @@
-"""Learn drivers from where they are seconds later: weights, traits, lane changes and
-the spread around predictions.
+"""Learn drivers from where they are seconds later.
 
+What is learned are weights, traits, lane changes and the spread around predictions.
 Segments of half a second (`ms_highway.irl.maximum_entropy`) are mostly noise: recorded
 accelerations waver by more than drivers' preferences differ. The weights that matter in
 a lane are therefore those under which all cars of a snapshot, driving on together, come
@@ -48,8 +48,9 @@ from ms_highway.runtime.process import Progress, silent
 
 @dataclass(frozen=True)
 class DriverPrior:
-    """Hold the prior of drivers: independent log-normal distributions of positive
-    numbers.
+    """Hold the prior of drivers: log-normal distributions of positive numbers.
+
+    They are independent.
     """
 
     while_changing: ClassVar[str] = " while changing lanes"
@@ -210,8 +211,7 @@ def _held_out(
 def _fit_drivers(
     snapshots: Snapshots, progress: Progress, first: Parameters, iterations: int
 ) -> tuple[Parameters, Drivers]:
-    """Return the logarithms under which drivers come closest to the recording, and
-    these drivers.
+    """Return the logarithms of the drivers that come closest, and these drivers.
 
     The drivers have the intention that makes their lane changes most likely.
 
@@ -265,11 +265,11 @@ def _drivers_of(logarithms: Parameters) -> Drivers:
 
 
 def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
-    """Return which cars of a snapshot are learned from, and by how many lanes to the
-    right each of these changes.
+    """Return which cars of a snapshot are learned from, and their lane changes.
 
-    A driver to predict is learned from if it is seen for 2 s, and if its last position
-    within 5 s is in its own lane or in a lane beside it.
+    A lane change is a number of lanes to the right. A driver to predict is learned from
+    if it is seen for 2 s, and if its last position within 5 s is in its own lane or in
+    a lane beside it.
     """
     y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]  # [times, cars]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
@@ -286,8 +286,9 @@ _labels = jax.jit(jax.vmap(_label))
 @jax.jit
 @jax.value_and_grad
 def _mean_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
-    """Return the mean of `robust_errors` in a joint simulation, in which each driver
-    aims at its recorded lane.
+    """Return the mean of `robust_errors` in a joint simulation.
+
+    Each driver aims at its recorded lane.
     """
     return _shares(logarithms, snapshots).sum()
 
@@ -313,11 +314,10 @@ _scores = jax.jit(jax.jacfwd(_shares))
 
 
 def _deviations(logarithms: Parameters, snapshots: Snapshots) -> list[float]:
-    """Return the standard deviations of the logarithms that were found, with drivers as
-    the independent units.
+    """Return the standard deviations of the logarithms that were found.
 
-    The scores are the slopes of each driver's errors in all its snapshots; the Hessian,
-    with the prior, is by finite differences.
+    Drivers are the independent units. The scores are the slopes of each driver's errors
+    in all its snapshots; the Hessian, with the prior, is by finite differences.
     """
     data = jax.device_put(snapshots)
     learned_from = np.asarray(_labels(snapshots)[0])

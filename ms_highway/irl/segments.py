@@ -37,8 +37,10 @@ from ms_highway.runtime.arrays import Array
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Segments(Rows):
-    """n segments of K steps: arrays of NumPy or JAX in SI units with a leading axis
-    [n]; one segment has no such axis.
+    """n segments of K steps, in SI units.
+
+    The arrays are NumPy's or JAX's, with a leading axis [n]; one segment has no such
+    axis.
 
     Attributes:
         scenes: the road and the driver's own size.
@@ -62,8 +64,7 @@ class Segments(Rows):
 
 
 def cut_segments(recordings: Sequence[Recording], steps: int) -> Segments:
-    """Cut the drivers' tracks into consecutive segments without overlap; return those
-    that are `regular`.
+    """Cut the drivers' tracks into consecutive segments; return the `regular` ones.
 
     Args:
         recordings: the recordings to cut.
@@ -126,9 +127,7 @@ def _cut(numbered_recording: NumberedRecording, steps: int) -> Iterator[Segments
 def _extrapolated(
     states: Float[np.ndarray, "times cars 4"],
 ) -> Float[np.ndarray, "times cars 4"]:
-    """Return the states, in which each car goes on at constant velocity after it was
-    last seen.
-    """
+    """Return the states of cars that go on at constant velocity once out of sight."""
     states = states.copy()
     for before, after in pairwise(states):
         keeping = step(PAPER_DYNAMICS, before, keep_velocity(PAPER_DYNAMICS, before))
@@ -138,8 +137,7 @@ def _extrapolated(
 
 
 def regular(segments: Segments) -> Flags:
-    """Return whether each segment's gradient at the driver's controls identifies the
-    reward.
+    """Return whether each segment identifies the reward by its gradient.
 
     It does not where controls are near their limit: the limit and not the reward
     decides them. Nor does it where a car is off the road and points along it:
@@ -161,11 +159,10 @@ def regular(segments: Segments) -> Flags:
 def driver_game(
     segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()
 ) -> Game:
-    """Return a game whose robot is a recorded driver with these weights by name;
-    `with_segment` sets its scene.
+    """Return a game whose robot is a recorded driver with these weights.
 
-    It computes `FEATURES`, and those user-defined features that have a weight or are
-    among the names.
+    `with_segment` sets its scene. It computes `FEATURES`, and those user-defined
+    features that have a weight or are among the names.
     """
     scene = jax.tree.map(lambda numbers: numbers[0], segments.scenes)
     computed = features_for(weights, dict.fromkeys(names, 1.0), least=FEATURES)
@@ -187,11 +184,10 @@ def with_segment(game: Game, segment: Segments) -> Game:
 def summed_features(
     game: Game, segment: Segments, controls: Controls
 ) -> Float[jax.Array, "features"]:
-    """Return the features of the game and of comfort, summed over a segment's steps
-    under scaled controls.
+    """Return the features of the game and of comfort, summed over a segment.
 
-    The features of comfort are ``-sum d^2 / 2``, with d the deviation from the controls
-    that keep the velocity.
+    They are those under scaled controls. The features of comfort are ``-sum d^2 / 2``,
+    with d the deviation from the controls that keep the velocity.
     """
     here = with_segment(game, segment)
     start = jnp.asarray(segment.start)

@@ -53,8 +53,9 @@ SNAPSHOT = SnapshotSettings()
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Snapshots(Rows):
-    """n snapshots of recorded traffic: arrays of NumPy or JAX, in SI units and lane
-    coordinates.
+    """n snapshots of recorded traffic, in SI units and lane coordinates.
+
+    The arrays are NumPy's or JAX's.
 
     Attributes:
         past: states of every car at each step from 3 s before until now [n, 31, cars,
@@ -88,9 +89,7 @@ class Snapshots(Rows):
 
     @property
     def recorded(self) -> Paths:
-        """Positions of the predicted drivers after each step, NaN where a driver was
-        not seen.
-        """
+        """Positions of the predicted drivers after each step, NaN where not seen."""
         return self.drivers(np.moveaxis(np.asarray(self.future)[..., :2], 1, 2))
 
     @property
@@ -99,21 +98,22 @@ class Snapshots(Rows):
         return np.nonzero(self.predicted)[0]
 
     def drivers(self, values: SameArray) -> SameArray:
-        """Return those of the values [n, cars, ...] that belong to predicted drivers,
-        snapshot after snapshot.
+        """Return those of the values [n, cars, ...] that belong to predicted drivers.
+
+        They come snapshot after snapshot.
         """
         return values[self.predicted]
 
     def only(self, chosen: Flags) -> Self:
-        """Return all snapshots, in which only drivers of the chosen ones are predicted;
-        the shapes stay the same.
+        """Return all snapshots, in which only drivers of the chosen ones are predicted.
+
+        The shapes stay the same.
         """
         return replace(self, predicted=self.predicted & chosen[:, None])
 
 
 def cut_snapshots(recordings: Sequence[Recording]) -> Snapshots:
-    """Cut a snapshot at the start of each driver's track, and one every second after
-    it.
+    """Cut a snapshot at the start of each driver's track, and every second later.
 
     Raises:
         ValueError: if no driver was seen for a second.

@@ -51,8 +51,9 @@ TRACK_SMOOTHING = TrackSmoothing()
 
 
 class Track(NamedTuple):
-    """States and the controls that lead from each state to the next, by
-    `ms_highway.game.dynamics.step`.
+    """States and the controls between them.
+
+    A control leads from a state to the next by `ms_highway.game.dynamics.step`.
 
     Attributes:
         states: ``(x, y, heading, speed)``, one more than the controls.
@@ -64,8 +65,9 @@ class Track(NamedTuple):
 
 
 def track_of(recording: Recording, car: int) -> Track:
-    """Return the track of a car while it was seen: `smoothed` if it was measured, as
-    recorded if it was simulated.
+    """Return the track of a car while it was seen.
+
+    It is `smoothed` if it was measured, as recorded if it was simulated.
     """
     states = recording.states[recording.seen[:, car], car]
     if recording.measured:
@@ -154,8 +156,7 @@ def _fit_across(
 
 
 def _cumulative(increments: np.ndarray) -> np.ndarray:
-    """Return the matrix from a quantity's initial value and the unknowns of its
-    increments to all its values.
+    """Return the matrix from an initial value and unknowns to all values.
 
     Args:
         increments: matrix from the unknowns to the increments.

@@ -36,11 +36,11 @@ USABLE = UsableDriving()
 
 
 def usable(recording: Recording) -> Recording:
-    """Return the recording without drivers whose driving is impossible or says nothing;
-    they are in ``left_out``.
+    """Return the recording without drivers that say nothing.
 
-    They remain as neighbours, except that one of two cars that are always in the same
-    place disappears.
+    Their driving is impossible, or they only stand; ``left_out`` says why. They remain
+    as neighbours, except that one of two cars that are always in the same place
+    disappears.
     """
     states = recording.states.copy()
     reasons = dict(recording.left_out)
@@ -120,8 +120,9 @@ def _why_unusable(states: States, measured: bool) -> str:
 
 
 def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
-    """Yield each pair of cars that are in the same place whenever both are seen, if
-    twice or more; drivers first.
+    """Yield each pair of cars that are always in the same place; drivers first.
+
+    Always is whenever both are seen, if twice or more.
     """
     seen = recording.seen
     positions = np.where(seen[..., None], recording.states[..., :2], np.nan)

@@ -1,5 +1,4 @@
-"""Drive in recorded traffic: CommonRoad scenarios as an environment, with their
-planning problems.
+"""Drive in recorded traffic: CommonRoad scenarios as an environment.
 
 Imports `ms_highway.road` and what stands below it.
 """

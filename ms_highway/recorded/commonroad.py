@@ -378,8 +378,9 @@ def _problem(number: int, element: Element, areas: Mapping[int, Points]) -> Prob
 
 
 def _goals(state: Element, areas: Mapping[int, Points]) -> Iterator[GoalRegion]:
-    """Yield a goal for each shape or lanelet of a goal's position, or one without a
-    region.
+    """Yield a goal for each shape or lanelet of a goal's position.
+
+    Without a position, yield one without a region.
     """
     conditions = {part.tag for part in state}
     unknown = conditions - FORMAT_2020A.goal_conditions

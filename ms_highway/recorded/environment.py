@@ -1,6 +1,4 @@
-"""Drive in recorded traffic: on its road, among its vehicles, from a start to a goal in
-time.
-"""
+"""Drive in recorded traffic from a start to a goal in time."""
 
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -47,8 +45,9 @@ class RecordedSettings(Struct, frozen=True):
 
 
 class RecordedEnv(ConfiguredEnv, GoalEnv):
-    """A car in recorded traffic, with a goal: CommonRoad scenarios and their planning
-    problems.
+    """A car in recorded traffic, with a goal.
+
+    Its episodes are CommonRoad scenarios and their planning problems.
 
     Configuration, beside highway-env's own; changes take effect at the next reset:
 
@@ -202,9 +201,7 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         ]
 
     def _simulate(self, action: object = None) -> None:
-        """Let all vehicles act and move for a step; find out whether the ego has
-        reached the goal or left the road.
-        """
+        """Let all vehicles act and move for a step, and judge where the ego is."""
         super()._simulate(action)
         ego = self.vehicle
         road = self.road

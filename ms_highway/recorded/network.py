@@ -1,5 +1,6 @@
-"""Turn lanelets into a road network of highway-env: smooth lanes with their own widths,
-which merge, branch and end.
+"""Turn lanelets into a road network of highway-env.
+
+Its lanes are smooth, have their own widths, merge, branch and end.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -24,8 +25,9 @@ Values = Float[np.ndarray, "n"]
 
 @dataclass(frozen=True)
 class LaneSmoothing:
-    """Set how lanelets are smoothed: lines of maps have kinks that would look like
-    steering.
+    """Set how lanelets are smoothed.
+
+    Lines of maps have kinks that would look like steering.
     """
 
     scales: tuple[float, ...] = (10.0, 5.0, 2.5, 1.25, 0.625)
@@ -48,8 +50,10 @@ LANE_SMOOTHING = LaneSmoothing()
 
 
 class Axes(NamedTuple):
-    """Convert between the axes of a map, with y to the left of x, and highway-env's,
-    with x along the road.
+    """Convert between the axes of a map and highway-env's.
+
+    In the map, y is to the left of x; in highway-env, x is along the road and y to its
+    right.
 
     Attributes:
         origin: of highway-env's axes in the map [m]; near the road, because single
@@ -62,8 +66,9 @@ class Axes(NamedTuple):
 
     @classmethod
     def of(cls, lanelets: Sequence[Lanelet]) -> "Axes":
-        """Return axes along the mean direction of a road, with their origin in its
-        middle, at whole metres.
+        """Return axes along the mean direction of a road.
+
+        Their origin is in its middle, at whole metres.
         """
         lines = [lanelet.centre for lanelet in lanelets]
         along = np.sum([line[-1] - line[0] for line in lines], axis=0)
@@ -79,14 +84,13 @@ class Axes(NamedTuple):
         return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
 
     def headings(self, orientations: ArrayLike) -> Numbers:
-        """Convert orientations in the map to headings in highway-env's axes, or
-        headings to orientations [rad].
-        """
+        """Convert orientations in the map to highway-env's headings, or back [rad]."""
         return wrapped(self.turn - np.asarray(orientations, dtype=float))
 
     def states(self, samples: np.ndarray) -> State:
-        """Return x, y, heading and speed in highway-env's axes, given samples of a
-        track [times, 5].
+        """Return the states of a track [times, 4] in highway-env's axes.
+
+        They are x, y, heading and speed, given samples [times, 5].
         """
         _, _, _, orientations, speeds = samples.T
         positions = self.positions(samples[:, 1:3])
@@ -141,16 +145,15 @@ class SampledLane(AbstractLane):
         return float(self.curve.interpolate(self.widths, longitudinal))
 
     def local_coordinates(self, position: np.ndarray) -> tuple[float, float]:
-        """Return the place along the lane and the distance to the right of its middle
-        [m].
-        """
+        """Return the place along the lane and the distance to the right of it [m]."""
         along, right = self.curve.locate(np.asarray(position))
         return float(along), float(right)
 
 
 class LaneletNetwork(RoadNetwork):
-    """A road network of sampled lanes that measures the exact distance only to lanes
-    that may be the closest one.
+    """A road network of sampled lanes.
+
+    It measures the exact distance only to lanes that may be the closest one.
     """
 
     heading_allowance: ClassVar[float] = 5.0
@@ -160,9 +163,7 @@ class LaneletNetwork(RoadNetwork):
 
     @cached_property
     def _samples(self) -> tuple[Points, Int[np.ndarray, "lanes"]]:
-        """Centres of all lanes, one lane after the other, and the index of the first
-        one of each lane.
-        """
+        """Centres of all lanes in a row, and the index of the first of each lane."""
         centres = [lane.centres for lane in self.lanes_list()]
         numbers = [len(line) for line in centres[:-1]]
         return np.concatenate(centres), np.cumsum([0, *numbers])
@@ -183,8 +184,9 @@ class LaneletNetwork(RoadNetwork):
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
-    """Build the road network of a recording: lanelets side by side are the lanes of one
-    road, from the left.
+    """Build the road network of a recording.
+
+    Lanelets side by side are the lanes of one road, from the left.
 
     Raises:
         ValueError: for a lanelet that is beside itself, two roads between the same
@@ -247,8 +249,9 @@ def _check_new(number: int, road: Sequence[Lanelet]) -> None:
 
 
 def _nodes(roads: Sequence[list[Lanelet]]) -> list[list[str]]:
-    """Return the names of the nodes at which each road begins and ends; roads whose
-    lanelets meet share a node.
+    """Return the names of the nodes at which each road begins and ends.
+
+    Roads whose lanelets meet share a node.
     """
     road_of = {
         lanelet.number: number for number, road in enumerate(roads) for lanelet in road
@@ -267,8 +270,9 @@ def _lane(
     axes: Axes,
     edges: Sequence[int],
 ) -> SampledLane:
-    """Return the lane of a lanelet along its smoothed centre, if possible smoothed with
-    the lanes before and after it.
+    """Return the lane of a lanelet along its smoothed centre.
+
+    If possible, it is smoothed with the lanes before and after it.
 
     Args:
         lanelet: of the lane.
@@ -351,8 +355,9 @@ def smooth_curves(line: Points) -> Iterator[Curve]:
 
 
 def _last_part(line: Points) -> Points:
-    """Return the last points of a line, at least two, over the length with which
-    neighbours are smoothed.
+    """Return the last points of a line with which a neighbour is smoothed.
+
+    They are at least two.
     """
     to_end = arc_lengths(line[::-1].T)[::-1]
     is_near = to_end <= LANE_SMOOTHING.neighbour_length

@@ -41,8 +41,7 @@ EGO = EgoSettings()
 
 
 def problem_of(scenario: TrafficRecording, ego: str | int) -> Problem:
-    """Return a planning problem of a scenario, or the problem to go where a recorded
-    vehicle went.
+    """Return a planning problem, or the problem to go where a vehicle went.
 
     If the vehicle of a planning problem was recorded, too, the ego takes its place. It
     is the vehicle that drives where the problem starts, in about the same direction:
@@ -110,8 +109,9 @@ def _vehicles(scenario: TrafficRecording) -> Mapping[int, RecordedTrack]:
 
 
 def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
-    """Return the number of the track of the vehicle that a planning problem is about,
-    None if it was not recorded.
+    """Return the number of the vehicle that a planning problem is about.
+
+    It is None if the vehicle was not recorded.
     """
     own = problem.start[:3]
     point = np.zeros(2)  # the size of a body's middle
@@ -150,8 +150,9 @@ def _seen(
 
 
 def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
-    """Return where to be and when, since the start, for the first goal that has a
-    region; None without one.
+    """Return the first goal that has a region, None without one.
+
+    Its times count from the start of the problem.
     """
     for goal in problem.goals:
         if goal.area is None:

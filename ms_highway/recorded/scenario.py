@@ -73,9 +73,7 @@ class RecordedTrack(msgspec.Struct, frozen=True):
         return int(self.samples[-1, 0])
 
     def at(self, steps: np.ndarray) -> np.ndarray:
-        """Return samples at steps of time [steps, 5], interpolated between recorded
-        ones.
-        """
+        """Return samples at steps of time [steps, 5], interpolated if need be."""
         times, x, y, orientation, speed = self.samples.T
         columns = (x, y, np.unwrap(orientation), speed)
         interpolated = [np.interp(steps, times, column) for column in columns]

@@ -25,12 +25,12 @@ class LanePlace(NamedTuple):
 
 
 class StraightRoad:
-    """The road of a recording, straightened: its lanes are parallel lines, as far apart
-    as the lanes are wide.
+    """The road of a recording, straightened to parallel lanes.
 
-    On the straight road, x is the distance along the road, y the distance to the right
-    of the leftmost lane's centre, and headings are relative to the lane. Where lanes
-    side by side differ in length, x is scaled to their mean.
+    They are as far apart as the recorded lanes are wide. On the straight road, x is the
+    distance along the road, y the distance to the right of the leftmost lane's centre,
+    and headings are relative to the lane. Where lanes side by side differ in length, x
+    is scaled to their mean.
 
     Attributes:
         axes: of highway-env in the map of the recording.
@@ -105,9 +105,7 @@ class StraightRoad:
 
     @property
     def lines(self) -> list[Points]:
-        """For every y of lanes, from the left: the middles of the lanes there, one
-        after the other.
-        """
+        """The middles of the lanes for every y, from the left, one after the other."""
         order = np.argsort(self._starts, kind="stable")
         lanes = [self._lanes[number] for number in order]
         lines = []
@@ -121,8 +119,9 @@ class StraightRoad:
         return self.states(self.axes.states(track.samples))
 
     def covers(self, points: Points) -> bool:
-        """Return whether all points are on lanes, or on their straight continuation
-        beyond the ends of the road.
+        """Return whether all points are on the road.
+
+        It goes straight on beyond its ends, by `continuation`.
         """
         on_road = np.zeros(len(points), bool)
         for lane in self._lanes:
@@ -144,10 +143,11 @@ def straight_road(recording: TrafficRecording) -> StraightRoad:
 
 
 def _place_lanes(lanes: list[Lane]) -> dict[Lane, LanePlace]:
-    """Return where each lane is: in the row of the lanes before and after it, and in
-    the next row to those beside it.
+    """Return where each lane is on the straight road.
 
-    Roads that are not connected begin at x = 0 each, with a free row between them.
+    It is in the row of the lanes before and after it, and in the next row to those
+    beside it. Roads that are not connected begin at x = 0 each, with a free row between
+    them.
     """
     places: dict[Lane, LanePlace] = {}
     for first in lanes:
@@ -160,9 +160,7 @@ def _place_lanes(lanes: list[Lane]) -> dict[Lane, LanePlace]:
 def _place_connected(
     first: Lane, place: LanePlace, lanes: list[Lane], places: dict[Lane, LanePlace]
 ) -> None:
-    """Add the places of a lane and of all lanes that are connected with it, the nearest
-    first.
-    """
+    """Add the places of a lane and of all that are connected with it, nearest first."""
     queue = deque([(first, place)])
     while queue:
         lane, place = queue.popleft()

@@ -1,5 +1,6 @@
-"""Let the vehicles of a recording enter a road, drive there and leave it: replayed, by
-learned drivers, or by IDM.
+"""Let recorded vehicles enter a road, drive there and leave it.
+
+They are replayed, or driven by learned drivers or by IDM.
 """
 
 from copy import copy
@@ -52,8 +53,9 @@ class LearnedVehicle(FollowingVehicle):
     recorded_states: State
 
     def change_lane_policy(self) -> None:
-        """Change towards the lane of the recorded vehicle, unless a change is going on
-        or there is no room for one.
+        """Change towards the lane of the recorded vehicle, if there is room.
+
+        A change that is going on comes first.
         """
         # The lane beside, on the side where the recorded vehicle soon was.
         centres = self.road.straight.centres
@@ -74,9 +76,7 @@ class LearnedVehicle(FollowingVehicle):
             self.target_lane_index = beside
 
     def _leaves_room(self, other: Vehicle | None) -> bool:
-        """Return whether a vehicle in the lane beside leaves room for a change to that
-        lane.
-        """
+        """Return whether a vehicle in the lane beside leaves room for a change."""
         if other is None:
             return True
         own_state = self.road.states[self]
@@ -91,8 +91,9 @@ class LearnedVehicle(FollowingVehicle):
         front_vehicle: RoadObject | None = None,
         rear_vehicle: object = None,
     ) -> float:
-        """Return the acceleration of a vehicle behind another one [m/s^2], see
-        `FollowingVehicle`.
+        """Return the acceleration of a vehicle behind another one [m/s^2].
+
+        With a leader, it is that of `FollowingVehicle`.
         """
         if front_vehicle:
             return super().acceleration(ego_vehicle, front_vehicle)
@@ -111,11 +112,11 @@ VEHICLE_TYPES = {
 
 
 class RecordedRoad(Road):
-    """A road for the vehicles of a recording. Only the ego collides: where its body
-    overlaps another one.
+    """A road for the vehicles of a recording.
 
-    Vehicles enter where and when they were recorded to enter. Vehicles that are not
-    replayed wait until the place is free, and leave at the end of the road.
+    Only the ego collides: where its body overlaps another one. Vehicles enter where and
+    when they were recorded to enter. Vehicles that are not replayed wait until the
+    place is free, and leave at the end of the road.
 
     Args:
         recording: of the traffic.
@@ -168,9 +169,7 @@ class RecordedRoad(Road):
 
     @property
     def waiting(self) -> list[RecordedTrack]:
-        """Tracks of the vehicles that should have entered, but whose place is taken by
-        another vehicle.
-        """
+        """Tracks of the vehicles whose time has come, but whose place is taken."""
         return [track for track in self.coming if track.first <= self.now]
 
     @property
@@ -191,10 +190,10 @@ class RecordedRoad(Road):
     def neighbour_vehicles(
         self, vehicle: Vehicle, lane_index: LaneIndex | None = None
     ) -> tuple[Vehicle | None, Vehicle | None]:
-        """Return the nearest vehicles ahead and behind, None without one: in a lane and
-        the lanes before and after it.
+        """Return the nearest vehicles ahead and behind in a lane, None without one.
 
-        By default, that is the lane of the vehicle.
+        The lanes before and after it belong to it. By default, it is the lane of the
+        vehicle.
         """
         vehicles = list(self.states)
         x, y, _, _ = np.array(list(self.states.values())).T
@@ -229,8 +228,9 @@ class RecordedRoad(Road):
                     other.crashed = True
 
     def recorded(self, track: RecordedTrack) -> State:
-        """Return the states of a track in each step from the beginning of the road, or
-        from its own, until its end.
+        """Return the states of a track in each step until its end.
+
+        They begin with the road, or with the track.
         """
         steps = np.arange(max(track.first, self.begin), track.last + 1)
         return self.straight.axes.states(track.at(steps))
@@ -284,9 +284,7 @@ class RecordedRoad(Road):
         return not any(overlap(with_gaps, other) for other in self.vehicles)
 
     def _has_left(self, vehicle: Vehicle) -> bool:
-        """Return whether a vehicle is past the end of its track if it is replayed,
-        otherwise of the road.
-        """
+        """Return whether a vehicle is past the end of the road or of its replay."""
         if isinstance(vehicle, ReplayedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
