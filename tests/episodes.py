@@ -11,11 +11,9 @@ import pytest
 from ms_highway.envs import environment_id
 from ms_highway.envs.registry import controller_config
 
-TWO = {
-    "humans": 2,
-    "horizon": 5,
-    "costs": "published",
-}  # a small scene with several humans
+TWO = {"humans": 2, "horizon": 5, "costs": "published"}
+"""Configuration of a small scene with several humans."""
+
 PIXELS = {
     "type": "GrayscaleObservation",
     "observation_shape": (64, 64),
@@ -30,8 +28,13 @@ def drives_long(test: Callable[..., None]) -> Any:
 
 
 class Episode(NamedTuple):
-    """The environment after an episode, the states before the first and after every
-    step, rewards and infos.
+    """The environment after an episode, and what happened in it.
+
+    Attributes:
+        env: the environment without its wrappers.
+        states: before the first and after every step.
+        rewards: of every step.
+        infos: of every step.
     """
 
     env: Any
@@ -72,16 +75,15 @@ def drive(
 
 
 def form(info: dict[str, Any]) -> dict[str, tuple]:
-    """Return the type and the shape of everything in an ``info``, which recorders want
-    to be constant, by its path.
+    """Return the type and the shape of everything in an ``info``, by its path.
+
+    Recorders want them to be constant.
     """
     parts = jax.tree.leaves_with_path(
         info, is_leaf=lambda value: not isinstance(value, dict)
     )
-    kinds = [
-        (getattr(value, "dtype", type(value)), np.shape(value)) for _, value in parts
-    ]
-    return {
-        jax.tree_util.keystr(path): kind
-        for (path, _), kind in zip(parts, kinds, strict=True)
-    }
+    forms = {}
+    for path, value in parts:
+        kind = getattr(value, "dtype", type(value))
+        forms[jax.tree_util.keystr(path)] = kind, np.shape(value)
+    return forms

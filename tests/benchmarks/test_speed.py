@@ -18,18 +18,13 @@ KEYS = {
 
 
 @pytest.mark.slow
-def test_the_command_times_every_rung_and_switching_live_and_in_batches(
-    tmp_path, capsys
-):
-    run(
-        "bench merger --set ladder=naive, --batches 1 20 --json"
-        f" {tmp_path / 'bench.json'}"
-    )
-    measured = json.loads((tmp_path / "bench.json").read_text())["merger"]
+def test_the_command_times_controllers_live_and_in_batches(tmp_path, capsys):
+    file = tmp_path / "bench.json"
+    run(f"bench merger --set ladder=naive, --batches 1 20 --json {file}")
+    measured = json.loads(file.read_text())["merger"]
     assert list(measured) == ["naive", "switching:0.6", "switching:0.1"]
-    assert (
-        measured["naive"]["decision_us"] == 0 < measured["switching:0.1"]["decision_us"]
-    )
+    assert measured["naive"]["decision_us"] == 0
+    assert measured["switching:0.1"]["decision_us"] > 0
     for one in measured.values():
         assert set(one) == KEYS
         assert 0 < one["plan_us"]["p50"] <= one["plan_us"]["p99"] < 1e6

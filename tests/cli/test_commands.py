@@ -119,7 +119,7 @@ def test_a_warning_is_one_line_without_a_place_in_source(tmp_path, capsys):
     assert "is not empty" in refusal
 
 
-def test_output_to_a_file_is_ascii_with_a_line_per_row():
+def test_output_to_files_is_ascii_with_a_line_per_row():
     """A narrow terminal does not matter, as the output is none; ASCII lacks ²."""
     narrow = {**os.environ, "PYTHONIOENCODING": "ascii", "COLUMNS": "60"}
     bench = ["-m", "ms_highway", "bench", "road", "merge-v0", "--drivers"]

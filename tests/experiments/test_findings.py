@@ -14,21 +14,21 @@ COUNTED = {"naive": 0.09, "tom": 0.37, "switching:0.1": 0.185, "learned:0.1": 0.
 
 
 def said(**rewards):
-    """Return the answer on one-step episodes with the rewards of controllers; ``_``
-    stands for ``:0.``.
+    """Return the answer on one-step episodes with the rewards of controllers.
+
+    In names, ``_`` stands for ``:0.``.
     """
-    rows = [
-        (name.replace("_", ":0."), *each)
-        for name, values in rewards.items()
-        for each in enumerate(values)
-    ]
-    table = pd.DataFrame(rows, columns=["controller", "seed", "reward"]).astype(
-        {"reward": float}
-    )
+    rows = []
+    for name, values in rewards.items():
+        for seed, reward in enumerate(values):
+            rows.append((name.replace("_", ":0."), seed, float(reward)))
+    table = pd.DataFrame(rows, columns=["controller", "seed", "reward"])
     table = table.assign(
-        scenario="merger", step=0, model="naive", status="planned", collision=False
-    )
-    table = table.assign(
+        scenario="merger",
+        step=0,
+        model="naive",
+        status="planned",
+        collision=False,
         planning_seconds=0.001,
         decision_seconds=0.0,
         counted_seconds=table["controller"].map(COUNTED),
@@ -36,13 +36,12 @@ def said(**rewards):
     return answer(table, summary(table), "merger")
 
 
-def test_the_answer_tells_the_gain_and_how_much_of_it_each_kind_of_controller_keeps():
+def test_the_answer_tells_the_gain_and_what_controllers_keep_of_it():
     message = said(
         naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1]
     )
-    assert (
-        message
-        == "tom earns a reward of 5.05 per step. That is 4.00 more than naive (90 %"
+    assert message == (
+        "tom earns a reward of 5.05 per step. That is 4.00 more than naive (90 %"
         " interval 4.00 to 4.00, starts: 2). learned:0.1 earns 5.05 and keeps 100 %"
         " of that gain, for 30 % of tom's planning. switching:0.1 earns 4.05 and"
         " keeps 75 % of that gain, for 50 % of tom's planning. No controller"
@@ -77,6 +76,5 @@ def test_a_printed_table_fits_the_terminal_and_shows_every_cell(monkeypatch):
     lines = shown_on_a_terminal(lambda: print_tables(table)).splitlines()
     assert max(map(len, lines)) <= 60
     assert sum(line.count("-1.89, 2.33") for line in lines) == 2 * 12
-    assert all(
-        line.strip().startswith("schedule:tom=") for line in lines if "-1.89" in line
-    )
+    rows = [line for line in lines if "-1.89" in line]
+    assert all(line.strip().startswith("schedule:tom=") for line in rows)

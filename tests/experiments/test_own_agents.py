@@ -59,17 +59,18 @@ def test_planners_agents_and_controllers_are_compared_in_one_table(tmp_path):
         "turn": ["turn"],
     }
     found = summary(steps).set_index("controller")
-    assert found.loc["trained", "reward"] == pytest.approx(
-        found.loc["turn", "reward"], abs=1e-3
-    )
+    reward = found["reward"]
+    assert reward["trained"] == pytest.approx(reward["turn"], abs=1e-3)
     assert found.loc["trained", "counted_ms"] == found.loc["turn", "counted_ms"]
-    assert found["reward"]["stays"] > found["reward"]["coasts"]  # which brakes
+    # The agent coasts brakes.
+    assert reward["stays"] > reward["coasts"]
     assert (found["kind"] == ["driver", "agent", "agent", "fixed"]).all()
     assert "T(M)" not in table(summary(steps), "merger-v1").attrs["title"]
-    planner = steps.query("controller == 'stays'")  # which sees the state in SI units
-    np.testing.assert_allclose(
-        planner["robot_speed"], planner["robot_speed"].iloc[0], atol=5e-3
-    )
+
+    # The planner stays sees the state in SI units.
+    planner = steps.query("controller == 'stays'")
+    speed = planner["robot_speed"]
+    np.testing.assert_allclose(speed, speed.iloc[0], atol=5e-3)
     assert (planner["planning_seconds"] > 0).all()
 
 

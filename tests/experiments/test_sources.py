@@ -1,6 +1,4 @@
-"""Results never go stale: modules, files and definitions that they depend on must not
-change.
-"""
+"""Results never go stale: what they depend on must not change."""
 
 import shutil
 import sys
@@ -78,9 +76,7 @@ def begin_sweep():
 
 
 @pytest.mark.parametrize("changed", FILES)
-def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(
-    changed, imports
-):
+def test_results_are_refused_after_a_module_or_its_file_changed(changed, imports):
     imports()
     begin("naive", "brakes")
     begin_sweep()
@@ -91,23 +87,20 @@ def test_results_are_refused_after_a_module_or_a_file_that_it_reads_has_changed(
     imports()
     before = Path("out/settings.json").read_text()
     name = changed.removesuffix(".py")
-    with pytest.raises(
-        ValueError,
-        match=f"results of naive in merger .* before {name} changed; choose another",
-    ):
+    reason = f"before {name} changed; choose another"
+    with pytest.raises(ValueError, match=f"results of naive in merger .* {reason}"):
         begin("naive", "brakes")
-    with pytest.raises(
-        ValueError, match=f"swept holds .* before {name} changed; choose another"
-    ):
+    with pytest.raises(ValueError, match=f"swept holds .* {reason}"):
         begin_sweep()
     assert Path("out/settings.json").read_text() == before
     begin("naive", "brakes", out="elsewhere")
 
 
-def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_a_module_before(
-    imports,
-):
-    """All of them stand in one table, and the module may drive their humans."""
+def test_other_results_are_refused_beside_those_of_a_changed_module(imports):
+    """Results of other controllers and scenarios stand in one table with them.
+
+    The module may drive their humans.
+    """
     imports()
     begin("naive")
     with Path("braking.py").open("a") as file:
@@ -120,9 +113,8 @@ def test_results_of_other_controllers_and_scenarios_are_refused_beside_those_of_
         next(run(Comparison({"give_way": ["naive"]}, seeds=1), "out"))
 
 
-def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_drives_has_changed(
-    imports,
-):
+def test_results_are_refused_after_late_imports_and_files_changed(imports):
+    """A driver imports and reads them while it drives."""
     Path("my_driver.py").write_text(LATE)
     imports()
     asked = Comparison({"merger": ["brakes"]}, seeds=1, config={"duration": 0.1})
@@ -133,14 +125,10 @@ def test_results_are_refused_after_what_a_driver_imports_and_reads_while_it_driv
         text = Path(name).read_text()
         Path(name).write_text(f"{text} ")
         imports()
-        with pytest.raises(
-            ValueError,
-            match=rf"out holds results that .* before {name} changed; choose another",
-        ):
+        reason = f"results that .* before {name} changed"
+        with pytest.raises(ValueError, match=f"out holds {reason}; choose another"):
             next(run(asked, "out"))
-        with pytest.raises(
-            ValueError, match=rf"results that .* before {name} changed; add --no-videos"
-        ):
+        with pytest.raises(ValueError, match=f"{reason}; add --no-videos"):
             read_results(Path("out")).refuse_changed("merger", ["brakes"])
         Path(name).unlink()
         with pytest.raises(ValueError, match=rf"before {name} changed"):
@@ -154,19 +142,17 @@ def test_imports_are_added_to_results_but_not_taken_away(imports):
     begin("naive", "brakes")
     import_modules([])
     begin("naive", "turn")
-    HUMAN_DRIVERS["brakes"] = HUMAN_DRIVERS["never"]  # by another module
-    with pytest.raises(
-        ValueError, match="computed with my_driver, which is not imported now"
-    ):
+    # As if another module had added it.
+    HUMAN_DRIVERS["brakes"] = HUMAN_DRIVERS["never"]
+    reason = "computed with my_driver, which is not imported now"
+    with pytest.raises(ValueError, match=reason):
         begin("brakes")
 
 
 def test_results_are_refused_after_a_name_has_got_another_meaning(
     tmp_path, monkeypatch
 ):
-    """As in a notebook, where a driver is defined again, or by two modules that add one
-    name.
-    """
+    """A notebook defines a driver again, or two modules add one name."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setitem(HUMAN_DRIVERS, "mine", None)
 
@@ -181,17 +167,16 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(
     def brakes_by(strength, game, state):
         return [0.0, -strength * strengths[0]]
 
-    brakes.__module__ = stays.__module__ = brakes_by.__module__ = "__main__"
+    for function in (brakes, stays, brakes_by):
+        function.__module__ = "__main__"
     add_driver("mine", brakes)
     begin("mine", "naive")
     add_driver("mine", brakes)
     begin("mine", "naive")
     add_driver("mine", stays)
     begin("naive")
-    with pytest.raises(
-        ValueError,
-        match=r"results of mine in merger .* before the definition of mine changed",
-    ):
+    reason = "before the definition of mine changed"
+    with pytest.raises(ValueError, match=f"results of mine in merger .* {reason}"):
         begin("mine", "naive")
 
     # The same text with other numbers: of a partial function, and of the function
@@ -203,7 +188,7 @@ def test_results_are_refused_after_a_name_has_got_another_meaning(
     for strength, around, directory in ((2.0, 1.0, "partial"), (2.0, 3.0, "around")):
         strengths[0] = around
         add_driver("mine", partial(brakes_by, strength))
-        with pytest.raises(ValueError, match="before the definition of mine changed"):
+        with pytest.raises(ValueError, match=reason):
             begin("mine", out=directory)
 
 
@@ -239,13 +224,11 @@ def test_files_beside_a_package_are_sources_of_its_modules(
     monkeypatch.chdir(package)
     import_modules(["cars.humans.calm"])
     modules = {"cars", "cars.humans", "cars.humans.calm"}
-    assert imported_sources().keys() == {
-        *modules,
-        str(Path("..") / ".." / "data" / "strength"),
-    }
+    file = str(Path("..") / ".." / "data" / "strength")
+    assert imported_sources().keys() == {*modules, file}
 
 
-def test_films_of_results_are_refused_only_after_their_sources_have_changed(imports):
+def test_films_are_refused_only_after_sources_of_results_changed(imports):
     imports()
     asked = Comparison(
         {"merger": ["naive"]},
@@ -256,16 +239,12 @@ def test_films_of_results_are_refused_only_after_their_sources_have_changed(impo
     read_results(Path("out")).refuse_changed("merger", ["naive"])
     Path("strength.txt").write_text("3")
     imports()
-    with pytest.raises(
-        ValueError,
-        match=r"of naive in merger .* before strength\.txt changed; add --no-videos",
-    ):
+    reason = r"of naive in merger .* before strength\.txt changed; add --no-videos"
+    with pytest.raises(ValueError, match=reason):
         read_results(Path("out")).refuse_changed("merger", ["naive"])
 
 
-def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missing(
-    imports,
-):
+def test_results_are_read_but_not_filmed_without_their_driver(imports):
     imports()
     asked = Comparison(
         {"merger": ["naive"]},
@@ -276,19 +255,14 @@ def test_results_are_read_but_not_filmed_where_a_driver_that_they_name_is_missin
     HUMAN_DRIVERS.pop("brakes")
     results = read_results(Path("out"))
     assert len(results.records) == 2
-    with pytest.raises(
-        ValueError,
-        match=(
-            r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"
-        ),
-    ):
+    reason = r"merger cannot be filmed .*'human_driver'\] is 'brakes'; .* with --import"
+    with pytest.raises(ValueError, match=reason):
         results.refuse_changed("merger", ["naive"])
 
 
-@pytest.mark.filterwarnings(
-    "ignore:the values of computation were learned"
-)  # among other humans
-def test_a_worker_that_has_imported_the_same_has_the_same_sources(imports):
+# They were learned among other humans.
+@pytest.mark.filterwarnings("ignore:the values of computation were learned")
+def test_a_worker_with_the_same_imports_has_the_same_sources(imports):
     imports()
     shutil.copy(SHIPPED / "values.npz", "learned.npz")
     asked = Comparison(
@@ -306,7 +280,7 @@ def test_a_worker_that_has_imported_the_same_has_the_same_sources(imports):
     assert source_now("the definition of nothing") is None
 
 
-def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
+def test_a_module_imported_before_counts_as_what_was_loaded(imports):
     imports()
     loaded = imported_sources()
     Path("my_driver.py").write_text("")
@@ -314,7 +288,8 @@ def test_a_module_that_was_imported_before_counts_as_what_was_loaded(imports):
     assert imported_sources() == loaded
 
 
-def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(imports):
+def test_modules_of_packages_and_without_files_are_no_sources(imports):
+    """Packages are installed, or this one."""
     making = (
         "import sys, types; sys.modules['made'] = made = types.ModuleType('made');"
         " made.__file__ = '_made.py'"
@@ -322,9 +297,8 @@ def test_modules_of_packages_of_this_one_and_without_a_file_are_no_sources(impor
     Path("braking.py").write_text(
         f"import installed_elsewhere; BRAKING = 1.0; {making}"
     )
-    elsewhere = Path(
-        "other/site-packages"
-    ).absolute()  # as of an environment that this one builds on
+    # As of an environment that this one builds on.
+    elsewhere = Path("other/site-packages").absolute()
     elsewhere.mkdir(parents=True)
     (elsewhere / "installed_elsewhere.py").write_text("")
     sys.path.append(str(elsewhere))

@@ -37,30 +37,25 @@ def swept(tmp_path_factory):
     return directory
 
 
-def test_a_sweep_holds_a_row_per_episode_and_per_step_and_summarises_them(swept):
+def test_a_sweep_holds_episodes_steps_and_a_summary(swept):
     episodes = pd.read_parquet(swept / "episodes")
     steps = pd.read_parquet(swept / "steps")
     keys = ["controller", "seed"]
     assert (len(episodes), len(steps)) == (3 * 24, 35 * 3 * 24)
     assert len(list((swept / "episodes").iterdir())) == 5
+    rewards = episodes.set_index(keys)["reward"].sort_index()
     means = steps.groupby(keys)["reward"].mean()
-    pd.testing.assert_series_equal(
-        episodes.set_index(keys)["reward"].sort_index(), means, atol=1e-6
-    )
+    pd.testing.assert_series_equal(rewards, means, atol=1e-6)
     summary = pd.read_csv(swept / "summary.csv").set_index("controller")
     assert summary["episodes"].tolist() == [24, 24, 24]
-    assert summary["reward"].to_dict() == pytest.approx(
-        episodes.groupby("controller")["reward"].mean().to_dict()
-    )
-    assert {"stay_back_curve.png", "provenance.json"} <= {
-        file.name for file in swept.iterdir()
-    }
+    means = episodes.groupby("controller")["reward"].mean()
+    assert summary["reward"].to_dict() == pytest.approx(means.to_dict())
+    files = {file.name for file in swept.iterdir()}
+    assert {"stay_back_curve.png", "provenance.json"} <= files
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_resumes_on_fewer_devices_and_gives_the_bytes_of_an_uninterrupted_one(
-    swept, tmp_path
-):
+def test_a_killed_sweep_resumes_on_fewer_devices_to_the_same_bytes(swept, tmp_path):
     out = tmp_path / "out"
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
     words = [sys.executable, "-m", "ms_highway", *f"{SWEEP} {out}".split()]
@@ -98,9 +93,8 @@ def test_a_cluster_that_loses_a_worker_gives_the_same_bytes(
                     break
             time.sleep(0.01)
 
-    with LocalCluster(
-        n_workers=2, threads_per_worker=1, dashboard_address=":0"
-    ) as cluster:
+    workers = {"n_workers": 2, "threads_per_worker": 1}
+    with LocalCluster(**workers, dashboard_address=":0") as cluster:
         killing = Thread(target=kill_a_busy_worker, args=(cluster,))
         killing.start()
         run(f"--import mine {SWEEP} out --scheduler {cluster.scheduler_address}")
@@ -119,10 +113,8 @@ def test_parts_whose_steps_are_missing_or_cut_are_computed_again(
     second.write_bytes(second.read_bytes()[:-100])
     pd.read_parquet(third)[:-1].to_parquet(third)
     run(f"{SWEEP} {out}")
-    assert (
-        "out/steps: parts that are not whole are computed again: 3"
-        in capsys.readouterr().err
-    )
+    warning = "out/steps: parts that are not whole are computed again: 3"
+    assert warning in capsys.readouterr().err
     assert contents(out) == contents(swept)
 
 
@@ -130,17 +122,14 @@ def test_a_sweep_refuses_directories_with_other_settings_and_damaged_parts(
     swept, tmp_path, refused
 ):
     out = shutil.copytree(swept, tmp_path / "out")
-    first, third = (
-        out / "episodes" / f"part-{number:06d}.parquet" for number in (0, 2)
-    )
+    first = out / "episodes" / "part-000000.parquet"
+    third = out / "episodes" / "part-000002.parquet"
     assert "first_seed 0 instead of 5" in refused(f"{SWEEP} out --first-seed 5")
     assert contents(out) == contents(swept)
     shutil.copy(first, third)
-    assert (
-        f"{third.name} cannot be read (it holds other episodes than its number says)"
-        in refused(f"{SWEEP} out")
-    )
+    refusal = refused(f"{SWEEP} out")
+    reason = "it holds other episodes than its number says"
+    assert f"{third.name} cannot be read ({reason})" in refusal
     third.write_bytes(first.read_bytes()[:100])
-    assert re.search(
-        f"{third.name} cannot be read .*remove it", refused(f"{SWEEP} out")
-    )
+    refusal = refused(f"{SWEEP} out")
+    assert re.search(f"{third.name} cannot be read .*remove it", refusal)

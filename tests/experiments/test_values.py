@@ -1,6 +1,4 @@
-"""Learning values of computation with one human and several, by `ms-highway values
-learn`.
-"""
+"""Learning values of computation: `ms-highway values learn`."""
 
 from dataclasses import replace
 from itertools import islice
@@ -16,7 +14,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.learning import learn, prepare
 
 
-def test_values_learned_in_scenes_of_unlike_horizons_know_all_of_them():
+def test_values_know_the_horizons_of_all_their_scenes():
     asked = Comparison({name: ["tom"] for name in ("stay-back-v1", "merger-v1")})
     learning, _ = prepare(asked, rounds=1, states=1, horizon=None, seed=0)
     assert learning.settings["planning_horizon"] == [10, 20]
@@ -26,19 +24,15 @@ def test_values_learned_in_scenes_of_unlike_horizons_know_all_of_them():
     "name",
     ["merger-v1", "stay-back-v1", "give-way-v1", "dense-merge-v1", "crossing-crowd-v1"],
 )
-def test_the_shipped_values_are_at_home_in_every_scene_of_version_1(name, recwarn):
+def test_the_shipped_values_suit_every_scene_of_version_1(name, recwarn):
     make(name, "learned:1").reset(seed=0)
-    assert not [
-        warning
-        for warning in recwarn
-        if "values of computation" in str(warning.message)
-    ]
+    messages = [str(warning.message) for warning in recwarn]
+    assert not any("values of computation" in message for message in messages)
 
 
 @pytest.mark.slow
-def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_values(
-    tmp_path,
-):
+def test_killed_learning_resumes_to_the_same_values(tmp_path):
+    """It resumes only with the same settings, and refuses damaged rollouts."""
     asked = Comparison(
         {"merger": ["switching:1"]}, config={"ladder": ["naive", "turn"]}
     )
@@ -49,6 +43,7 @@ def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_value
         "round 2 of 2: merger",
     ]
     assert [values.provenance["examples"] for _, values in done[1::2]] == [8, 13]
+
     kept = tmp_path / "kept"
     list(islice(learn(learning, batches, kept), 1))
     before = (kept / "1-0.npz").read_bytes()
@@ -57,6 +52,7 @@ def test_killed_learning_resumes_with_the_same_settings_and_gives_the_same_value
     *_, (_, last) = learn(learning, batches, kept)
     assert (kept / "1-0.npz").read_bytes() == before
     jax.tree.map(np.testing.assert_array_equal, last.network, done[-1][1].network)
+
     (kept / "1-0.npz").write_bytes(before[:100])
     with pytest.raises(ValueError, match=r"1-0\.npz cannot be read"):
         next(learn(learning, batches, kept))
@@ -70,8 +66,7 @@ def test_the_command_learns_values_among_several_humans_that_drive(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
     values = load_values(file)
     assert values.provenance["scenarios"] == ["dense_merge"]
-    assert values.provenance["examples"] == 24  # 2 per state
-    run(
-        f"compare {config} --controllers learned:0.1:{file} --seeds 1 --out"
-        f" {tmp_path / 'out'}"
-    )
+    # Two for each state.
+    assert values.provenance["examples"] == 24
+    controllers = f"--controllers learned:0.1:{file}"
+    run(f"compare {config} {controllers} --seeds 1 --out {tmp_path / 'out'}")

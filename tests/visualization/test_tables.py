@@ -24,15 +24,14 @@ def test_tables_show_what_was_found():
         **{name: {"3": 0.15} for name in PREDICTORS},
     }
     regimes = {kind: {"braking": braking} for kind in ("distance", "log_p")}
-    metrics, regimes, *_ = evaluation_tables(
-        Evaluation(predictors, regimes, windows=12, tracks=3)
-    )
+    evaluation = Evaluation(predictors, regimes, windows=12, tracks=3)
+    metrics, regimes, *_ = evaluation_tables(evaluation)
     assert metrics.attrs["title"] == "12 predictions of 3 drivers"
-    assert (metrics == "0.25").to_numpy().sum() == 3 * len(
-        PREDICTORS
-    )  # FDE, RMSE and log p
+    # FDE, RMSE and log p have two decimals.
+    assert (metrics == "0.25").to_numpy().sum() == 3 * len(PREDICTORS)
     assert "25.0%" in metrics.to_numpy()
     assert (regimes == "0.15").to_numpy().sum() == len(PREDICTORS)
+
     weights, drivers = learned_tables(shipped("us101"), {"headway": 0.5})
     assert weights.attrs["title"] == "learned from 6856 segments"
     assert weights["true"].loc["headway"] == "0.5"
