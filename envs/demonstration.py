@@ -14,12 +14,11 @@ from ms_highway.envs.game_env import GameEnv, straight_road
 from ms_highway.game.game import Game
 from ms_highway.game.scenario import (
     COMMON_WEIGHTS,
-    LANE_WIDTH,
     SPEED_LIMIT,
     TIME_STEP,
     driving_game,
 )
-from ms_highway.game.scene import Scene
+from ms_highway.game.scene import PAPER_SIZES, Scene
 from ms_highway.runtime.arrays import Car, Control, State, Times, Vector
 from ms_highway.runtime.limits import Positive
 from ms_highway.vehicle import BicycleVehicle, HumanVehicle, RoutedVehicle, states_of
@@ -97,8 +96,8 @@ def demonstration_game(weights: Mapping[str, float] = COMMON_WEIGHTS) -> Game:
 
     Its three lanes are like those of the paper's scenes.
     """
-    lanes = np.arange(3) * LANE_WIDTH
-    scene = Scene(lanes, LANE_WIDTH, target_lane=lanes[0])
+    lanes = np.arange(3) * PAPER_SIZES.lane_width
+    scene = Scene(lanes, PAPER_SIZES.lane_width, target_lane=lanes[0])
     return driving_game(scene, SPEED_LIMIT, weights, grip=None)
 
 

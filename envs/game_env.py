@@ -15,7 +15,7 @@ from ms_highway.envs.configured import ConfiguredEnv, not_simulated
 from ms_highway.envs.info import GameInfo
 from ms_highway.game.features import check_own_features, features
 from ms_highway.game.game import Game
-from ms_highway.game.scenario import CONE_SIZE
+from ms_highway.game.scene import PAPER_SIZES
 from ms_highway.runtime.arrays import State
 from ms_highway.runtime.process import refuse_after_fork
 from ms_highway.vehicle import states_of
@@ -48,7 +48,7 @@ def straight_road(game: Game) -> RoadNetwork:
 class Cone(Obstacle):
     """A traffic cone."""
 
-    LENGTH, WIDTH = CONE_SIZE  # m
+    LENGTH, WIDTH = PAPER_SIZES.cone  # m
 
 
 class GameEnv(ConfiguredEnv):

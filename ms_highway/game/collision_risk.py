@@ -92,7 +92,7 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
     return Bodies(motion, *of_bodies)
 
 
-def _distance(
+def _ellipse_distances(
     scene: Scene, own: Motion, bodies: Bodies
 ) -> Float[jax.Array, "bodies points *times"]:
     """Return the `ellipse_distance` D - 1 from points of the car to other bodies."""
@@ -121,7 +121,7 @@ def touches(
         car_size=jnp.asarray(scene.car_size) + clearance,
         obstacle_size=jnp.asarray(scene.obstacle_size) + clearance,
     )
-    distance = _distance(wider, own, bodies_around(wider, others))
+    distance = _ellipse_distances(wider, own, bodies_around(wider, others))
     return (distance < 0).any(axis=(0, 1))
 
 
@@ -150,7 +150,7 @@ def collision_risk(
         smooth: whether the indicator is smooth.
     """
     bodies = bodies_around(scene, others)
-    distance = _distance(scene, own, bodies)  # D - 1 [bodies, points, *times]
+    distance = _ellipse_distances(scene, own, bodies)  # D - 1 [bodies, points, *times]
     closeness = bodies.share * jnp.exp(-bodies.sharpness * distance)
 
     if scene.bodies_collide:

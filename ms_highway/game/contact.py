@@ -97,7 +97,7 @@ def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
         others: motion of the other cars, arrays [others, *times].
     """
     offsets = point_offsets(own[:4], contact_points(scene), others[:4])
-    from_cars = _distance(jnp.asarray(scene.car_size), *offsets)
+    from_cars = _distance_from(jnp.asarray(scene.car_size), *offsets)
     cost = jnp.sum(_cost(from_cars), axis=(0, 1))  # over cars and points
     if not len(scene.obstacles):
         return cost
@@ -132,7 +132,7 @@ def car_residuals(
     """
     other = Motion(*(part[:, None] for part in others))
     offsets = place_in_frame(other[:4], points[0], points[1])
-    return _residual(_distance(jnp.asarray(scene.car_size), *offsets))
+    return _residual(_distance_from(jnp.asarray(scene.car_size), *offsets))
 
 
 def obstacle_residuals(
@@ -159,10 +159,10 @@ def _distance_of_obstacles(
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]
     size = jnp.asarray(scene.car_size) + diameter
-    return jnp.asarray(_distance(size, *_obstacles_in_frame(scene, own)))
+    return jnp.asarray(_distance_from(size, *_obstacles_in_frame(scene, own)))
 
 
-def _distance(size: Array, along: Numeric, across: Numeric) -> Numbers:
+def _distance_from(size: Array, along: Numeric, across: Numeric) -> Numbers:
     """Return the `square_distance` of places along and across a body of a size [m]."""
     return square_distance(along / (size[0] / 2), across / (size[1] / 2))
 

@@ -201,12 +201,12 @@ def rollout_jacobian(
     own_controls = np.eye(2 * steps, dtype=np.float32).reshape(steps, 2, 2 * steps)
     of_omega = own_controls[:, 0]
     of_acceleration = own_controls[:, 1]
-    earlier = _shares(steps)[:, 1:]  # [states, steps], 1 for steps before a state
+    earlier = _step_weights(steps)[:, 1:]  # [states, steps], 1 for steps before a state
 
     # dv_k: accelerations alone change speeds [states, controls].
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)
-    per_acceleration = _shares(steps, left)[:, 1:] * dt  # V_kj
+    per_acceleration = _step_weights(steps, left)[:, 1:] * dt  # V_kj
     faster = jnp.stack(
         [jnp.zeros_like(per_acceleration), per_acceleration], axis=-1
     ).reshape(1 + steps, -1)
@@ -258,12 +258,14 @@ def _accumulate(
     Each step multiplies the sum by ``left``, if given. Unlike a small matrix product,
     XLA fuses this.
     """
-    shares = _shares(changes.shape[-1], left)
+    shares = _step_weights(changes.shape[-1], left)
     terms = jnp.concatenate([initial[..., None], changes], axis=-1)
     return jnp.sum(shares * terms[..., None, :], axis=-1)
 
 
-def _shares(steps: int, left: Scalar | None = None) -> Float[Array, "states terms"]:
+def _step_weights(
+    steps: int, left: Scalar | None = None
+) -> Float[Array, "states terms"]:
     """Return, for each state, the weights of the initial value and of each change."""
     terms = np.arange(1 + steps)
     age = terms[:, None] - terms  # negative for changes after the state

@@ -39,7 +39,7 @@ SMOOTH = SmoothForms()
 
 
 @dataclass(frozen=True)
-class TrafficSettings:
+class FollowingSettings:
     """Set the features of following and being followed, see `_traffic`.
 
     A length unit is the paper's, 100/3 m.
@@ -55,7 +55,7 @@ class TrafficSettings:
     """Standard deviation of the lateral distance of cars in a lane [lane widths]."""
 
 
-TRAFFIC = TrafficSettings()
+FOLLOWING = FollowingSettings()
 
 
 def reward(
@@ -265,9 +265,9 @@ def _traffic(
     per_unit = 1 / scene.length_unit
     speed = own.speed * per_unit
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
-    braking = faster**2 / (2 * jnp.maximum(gap, TRAFFIC.min_gap))
+    braking = faster**2 / (2 * jnp.maximum(gap, FOLLOWING.min_gap))
 
-    gap_error = gap - TRAFFIC.standstill_gap - parameters.headway * speed
+    gap_error = gap - FOLLOWING.standstill_gap - parameters.headway * speed
     headway = -jnp.sum(ahead * gap_error**2, axis=0)
     approach = (own.speed - others.speed) / parameters.speed_limit
     closing_speed = -jnp.sum(ahead * approach**2, axis=0)
@@ -299,9 +299,9 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
     """
     per_unit = 1 / scene.length_unit
     along = (others.x - own.x) * per_unit
-    across = (others.y - own.y) / (TRAFFIC.lane_spread * scene.lane_width)
+    across = (others.y - own.y) / (FOLLOWING.lane_spread * scene.lane_width)
     gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
-    return along, gap, jnp.exp(-gap / TRAFFIC.attention_gap - across**2 / 2)
+    return along, gap, jnp.exp(-gap / FOLLOWING.attention_gap - across**2 / 2)
 
 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:

@@ -145,11 +145,11 @@ def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
     robot, rest = jnp.split(jnp.asarray(state), [1])
-    alone = replace(game, humans=_alone(game.human(human)))
+    alone = replace(game, humans=_as_only_human(game.human(human)))
     return alone, jnp.concatenate([robot, rest[human][None], rest[others]])
 
 
-def _alone(reward: Reward) -> Reward:
+def _as_only_human(reward: Reward) -> Reward:
     return replace(reward, weights=reward.weights[None])
 
 
@@ -166,7 +166,10 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
     """
     planner = replace(game.planner, solver=game.planner.solver.of_human())
     return replace(
-        game, robot=game.human(human), humans=_alone(game.robot), planner=planner
+        game,
+        robot=game.human(human),
+        humans=_as_only_human(game.robot),
+        planner=planner,
     )
 
 
@@ -195,12 +198,12 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     bend = 0.0 if game.scene.bend is None else game.scene.bend
     physical = controls * planner.control_scale
     grip = jnp.asarray(planner.grip)
-    held = _within_grip(game.dynamics, grip, jnp.asarray(bend), car, physical)
+    held = _plans_within_grip(game.dynamics, grip, jnp.asarray(bend), car, physical)
     return held / planner.control_scale
 
 
 @jax.jit
-def _within_grip(
+def _plans_within_grip(
     dynamics: Dynamics,
     grip: jax.Array,
     bend: jax.Array,

@@ -14,7 +14,7 @@ import numpy as np
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward, features_for, linear_reward
-from ms_highway.game.scene import CAR_SIZE, CONE_SIZE, PAPER_UNIT, Scene
+from ms_highway.game.scene import PAPER_SIZES, PAPER_UNIT, Scene
 from ms_highway.numerics.convex_newton import NEWTON_STEPS
 from ms_highway.numerics.second_derivatives import Influence
 from ms_highway.numerics.solvers import (
@@ -31,9 +31,6 @@ from ms_highway.runtime.arrays import Published, Scalar, read_only
 
 Semantics: TypeAlias = Literal["paper", "released", "physical"]
 
-LANE_WIDTH = 0.1 * PAPER_UNIT
-"""Width of a lane in the paper's scenes [m]: 3.3."""
-
 SPEED_LIMIT = 0.6 * PAPER_UNIT
 """The paper's speed limit [m/s]: 20."""
 
@@ -43,15 +40,15 @@ TIME_STEP = 0.1
 PAPER_DYNAMICS = Dynamics("curvature", "linear", drag=0.2, time_step=TIME_STEP)
 """The paper's dynamics with friction, Sec. IV-A, in any unit of length.
 
-The paper gives no value of alpha; the drag of 0.2 1/s is that of the released code.
+The paper gives no value of its drag alpha; here it is 0.2 1/s.
 """
 
 PHYSICAL_LIMIT = (0.2, 50.0)
 """Default bounds on the curvature and the acceleration of plans [1/m, m/s^2].
 
-They are those of a front wheel turned by 45 degrees, and five times what tyres hold.
-The paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half
-a second sees a cone only 10 m ahead, so that gradient plans in Stay Back need 50 m/s^2,
+They are those of a front wheel turned by 45 degrees, and six times what tyres hold. The
+paper's scenes are infeasible within the grip of tyres: at 20 m/s a horizon of half a
+second sees a cone only 10 m ahead, so that gradient plans in Stay Back need 50 m/s^2,
 and the human in Merger yields with up to 21 m/s^2.
 """
 
@@ -207,22 +204,24 @@ class Scenario:
         """Refuse lanes in which two cars overlap, or that are far from each other."""
         lanes = np.sort(np.asarray(self.lanes, float).ravel())
         apart = np.diff(lanes)
-        narrow = apart < CAR_SIZE[1]
+        _, car_width = PAPER_SIZES.car
+        narrow = apart < car_width
         wide = apart > self.max_lane_distance
         if not len(lanes) or not np.isfinite(lanes).all() or np.any(narrow | wide):
             raise ValueError(
                 f"{self._place} has lanes at {self.lanes}; neighbours must be"
-                f" {CAR_SIZE[1]:g} to {self.max_lane_distance:g} m apart, and"
+                f" {car_width:g} to {self.max_lane_distance:g} m apart, and"
                 f" {self.units}"
             )
 
     def _check_stream(self, stream: Stream) -> None:
         """Refuse spacings in which cars overlap, or that are not in order."""
         shortest, longest = stream.spacing
-        if not CAR_SIZE[0] < min(stream.spacing) or shortest > longest:
-            wanted = f"the shortest, more than {CAR_SIZE[0]:g} m, then the longest"
+        length, _ = PAPER_SIZES.car
+        if not length < min(stream.spacing) or shortest > longest:
             raise ValueError(
-                f"{self._place} has a stream of spacing {stream.spacing}; give {wanted}"
+                f"{self._place} has a stream of spacing {stream.spacing}; give the"
+                f" shortest, more than {length:g} m, then the longest"
             )
 
     def _check_point(
@@ -387,10 +386,10 @@ def _scene(scenario: Scenario, semantics: Semantics, unit: float) -> Scene:
     metre = unit / PAPER_UNIT
     return Scene(
         lanes=np.array(scenario.lanes) * metre,
-        lane_width=LANE_WIDTH * metre,
+        lane_width=PAPER_SIZES.lane_width * metre,
         obstacles=np.array(scenario.cones).reshape(-1, 2) * metre,
-        obstacle_size=np.array(CONE_SIZE) * metre,
-        car_size=np.array(CAR_SIZE) * metre,
+        obstacle_size=np.array(PAPER_SIZES.cone) * metre,
+        car_size=np.array(PAPER_SIZES.car) * metre,
         corner=scenario.corner,
         target_lane=min(scenario.lanes) * metre,
         length_unit=unit,

@@ -22,11 +22,20 @@ Contact: TypeAlias = Literal["paper", "bodies"]
 PAPER_UNIT = 100 / 3
 """The paper's unit of length [m]."""
 
-CAR_SIZE = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)
-"""Length and width of the paper's cars [m]: 5 by 2.5."""
 
-CONE_SIZE = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)
-"""Length and width of the paper's cones [m]: 2.3 by 1.9."""
+@dataclass(frozen=True)
+class PaperSizes:
+    """Sizes in the paper's scenes."""
+
+    car: tuple[float, float] = (0.15 * PAPER_UNIT, 0.075 * PAPER_UNIT)
+    """Length and width of cars [m]: 5 by 2.5."""
+    cone: tuple[float, float] = (0.07 * PAPER_UNIT, 0.0561166667 * PAPER_UNIT)
+    """Length and width of cones [m]: 2.3 by 1.9."""
+    lane_width: float = 0.1 * PAPER_UNIT
+    """Width of lanes [m]: 3.3."""
+
+
+PAPER_SIZES = PaperSizes()
 
 
 @jax.tree_util.register_dataclass
@@ -82,8 +91,8 @@ class Scene:
     obstacles: Float[Array, "obstacles 2"] = field(
         default_factory=lambda: np.zeros((0, 2))
     )
-    obstacle_size: Float[Array, "2"] | tuple[float, float] = CONE_SIZE
-    car_size: Float[Array, "2"] | tuple[float, float] = CAR_SIZE
+    obstacle_size: Float[Array, "2"] | tuple[float, float] = PAPER_SIZES.cone
+    car_size: Float[Array, "2"] | tuple[float, float] = PAPER_SIZES.car
     corner: Scalar = 0.5
     target_lane: Scalar = 0.0
     length_unit: Scalar = PAPER_UNIT

@@ -140,7 +140,7 @@ def draw_episode(
     lanes = len(scenario.streams)
     humans_of_streams = [len(range(place, number, lanes)) for place in range(lanes)]
     streams = [
-        _stream(stream, humans_of_stream, random)
+        _draw_stream(stream, humans_of_stream, random)
         for stream, humans_of_stream in zip(
             scenario.streams, humans_of_streams, strict=True
         )
@@ -164,7 +164,7 @@ def draw_episode(
     return cars, xp.where(is_caution, weights * factors[:, None], weights)
 
 
-def _stream(
+def _draw_stream(
     stream: Stream, humans: int, random: Random
 ) -> Float[Array, "humans_of_stream 4"]:
     """Draw the starts of a stream, front first, with the robot at x = 0 amidst."""

@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from ms_highway.data.learned_drivers import RewardTraits
 from ms_highway.game.car_following import CAR_LIMITS
-from ms_highway.game.features import HEADING_SHARE, TRAFFIC
+from ms_highway.game.features import FOLLOWING, HEADING_SHARE
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.curve import namespace
@@ -77,7 +77,7 @@ def held_acceleration(
     desired_speed = xp.maximum(traits.desired_speed, 1.0)
     gap = xp.maximum(leader.gap, 0.0)
     attention = xp.where(
-        leader.there, xp.exp(-gap / (TRAFFIC.attention_gap * unit)), 0.0
+        leader.there, xp.exp(-gap / (FOLLOWING.attention_gap * unit)), 0.0
     )
     closing = leader.speed - speed
 
@@ -88,7 +88,7 @@ def held_acceleration(
     for time in times:
         # How far the gap exceeds the desired one without acceleration, and how much
         # less it does per acceleration.
-        excess = leader.gap + closing * time - TRAFFIC.standstill_gap * unit
+        excess = leader.gap + closing * time - FOLLOWING.standstill_gap * unit
         excess = excess - traits.headway * speed
         per_acceleration = time**2 / 2 + traits.headway * time
 
