@@ -139,7 +139,7 @@ class GameEnv(ConfiguredEnv):
         return dict(info)
 
     def _given_action(self, action: object) -> object:
-        """Return an action with the type of those in the action space.
+        """Return a copy of an action with the type of those in the action space.
 
         It is NaN or -1 where none is given.
         """
@@ -151,4 +151,4 @@ class GameEnv(ConfiguredEnv):
         if given is None:
             missing = np.nan if isinstance(space, spaces.Box) else -1
             given = np.full(space.shape or (), missing)
-        return np.asarray(given, space.dtype)[()]
+        return np.array(given, space.dtype)[()]
