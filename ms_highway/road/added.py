@@ -1,7 +1,6 @@
 """Let a driver of `ms_highway.add_driver` drive a robot on any road."""
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
@@ -93,7 +92,7 @@ class AddedRoadDriver:
     def _game(self, view: RoadView) -> Game:
         """Return the game of the driver on its straightened road."""
         limit = min(float(self.planning.desired_speed), view.speed_limit)
-        steps: Any = PlanningSettings(time_step=float(self.planning.time_step))
+        steps = PlanningSettings(time_step=float(self.planning.time_step))
         return driving_game(
             view.scene, limit, planning=steps, grip=float(self.planning.grip)
         )

@@ -8,7 +8,7 @@ planning is then to let others respond to the best proposals.
 
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -36,7 +36,7 @@ from ms_highway.road.proposals import LAST_PLAN, LastPlan, full_braking
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.traffic_models import TRAFFIC_MODELS, ModelNumber
-from ms_highway.runtime.arrays import Controls, PerHuman, Rungs
+from ms_highway.runtime.arrays import Array, Controls, PerHuman, Rungs
 from ms_highway.runtime.compilation import jit_quickly, timed, warm_up
 from ms_highway.runtime.process import refuse_after_fork
 
@@ -105,7 +105,7 @@ class RoadStep(ControlStep):
             road or lacks the room to stop.
     """
 
-    path: Float[Any, "steps 3"]
+    path: Float[Array, "steps 3"]
     owners: Places
     source: str
     broken: bool = False

@@ -6,7 +6,7 @@ It has highway-env's kinematics.
 from cmath import phase, rect
 from collections.abc import Sequence
 from math import asin, atan, cos, sin, sqrt, tan
-from typing import Any, ClassVar, Self
+from typing import ClassVar, Self
 
 import numpy as np
 from highway_env.road.road import LaneIndex, Road, Route
@@ -197,7 +197,7 @@ class RoadRobot(OfferedSpeeds, Vehicle):
         """Observe the road."""
         return observe_road(self, self.goal_place, self.applied, self.intentions)
 
-    def act(self, action: dict[str, Any] | str | None = None) -> None:
+    def act(self, action: dict[str, float] | str | None = None) -> None:
         """Plan if a plan is due; ignore actions."""
         is_due = self._elapsed + self.frame / 2 >= self.period
         if action is not None or self.driver is None or not is_due or self.crashed:
