@@ -58,7 +58,7 @@ def climbed(steepness, waves, limit):
     return controls, hill.earned(controls) - hill.earned(start)
 
 
-def test_steps_climb_any_reward_within_the_limits_and_are_nan_where_the_reward_is():
+def test_steps_climb_any_reward_within_the_limits():
     top = np.linalg.solve(
         np.eye(12) + 40 * PATH[0].T @ PATH[0], 40 * PATH[0].T @ np.ones(6)
     ).reshape(6, 2)
@@ -70,7 +70,7 @@ def test_steps_climb_any_reward_within_the_limits_and_are_nan_where_the_reward_i
     assert np.isnan(found[3]).all()
 
 
-def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
+def test_similar_starts_end_in_similar_plans_despite_walls():
     """At some of these starts, a line search that chooses among shares would jump from
     one share to the next.
 
@@ -102,7 +102,7 @@ def test_similar_starts_end_in_similar_plans_even_where_the_reward_has_walls():
     assert closer.max() < all_over.max() / 20  # a jump would stay
 
 
-def test_the_share_of_a_step_is_that_of_a_parabola_and_short_towards_nan():
+def test_the_share_of_a_step_is_that_of_a_parabola():
     slope = np.float32([1, 1, 1, 1, -1e-3, np.nan])
     after = np.float32([0.5, -1, -1e6, np.nan, -1, 1])
     least = NEWTON_STEPS.min_share
@@ -110,7 +110,7 @@ def test_the_share_of_a_step_is_that_of_a_parabola_and_short_towards_nan():
     np.testing.assert_allclose(share(slope, after), expected, atol=1e-4)
 
 
-def test_steps_are_repeated_until_they_are_short_and_one_more_or_less_hardly_matters():
+def test_steps_are_repeated_until_one_more_hardly_matters():
     def rest(start, most=50):
         return until_still(
             lambda _, point: 0.3 * point, start, most, lambda point: point

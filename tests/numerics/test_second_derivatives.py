@@ -7,7 +7,7 @@ import pytest
 from ms_highway.numerics.second_derivatives import floored, response
 
 
-def test_the_exact_response_solves_linear_equations_and_the_damped_one_always_ascends():
+def test_the_exact_response_is_exact_and_the_damped_one_ascends():
     random = np.random.default_rng(0)
     responses = jax.jit(
         lambda matrix, push: [

@@ -23,7 +23,8 @@ from ms_highway.game.scenarios import STAY_BACK
 from ms_highway.planning.compiled_plans import CompiledPlans
 from ms_highway.planning.ladders import ladder
 state = draw_starts(STAY_BACK, np.random.default_rng(0)).astype(np.float32)
-function, *arguments = CompiledPlans(build_game(STAY_BACK), ladder(["naive"])).call(state, [0])
+plans = CompiledPlans(build_game(STAY_BACK), ladder(["naive"]))
+function, *arguments = plans.call(state, [0])
 plan = function.lower(*arguments).compile()
 print(os.environ["XLA_FLAGS"])
 print('xla_cpu_small_call="true"' in plan.as_text())  # whether a loop is one kernel
@@ -40,7 +41,7 @@ def run_with_low_latency(**environment):
 
 
 @pytest.mark.slow
-def test_low_latency_makes_the_steps_of_a_plan_one_kernel_that_plans_the_same(played):
+def test_low_latency_makes_the_steps_of_a_plan_one_kernel(played):
     """Beside flags of the user's, which stay."""
     own = "--xla_force_host_platform_device_count=2"
     flags, fused, devices, controls = run_with_low_latency(XLA_FLAGS=own)
@@ -53,7 +54,7 @@ def test_low_latency_makes_the_steps_of_a_plan_one_kernel_that_plans_the_same(pl
 
 
 @pytest.mark.slow
-def test_low_latency_leaves_its_own_option_and_a_file_of_flags_as_the_user_has_set_them(
+def test_low_latency_leaves_flags_as_the_user_has_set_them(
     tmp_path,
 ):
     own = "--xla_backend_extra_options=xla_cpu_small_while_loop_byte_threshold=0"

@@ -76,7 +76,7 @@ def test_a_model_plans_among_several_humans_as_it_does_alone(scene, alone):
         same(CompiledPlans(game, [model]).plan(away, [0] * 3)[0], alone[rung])
 
 
-def test_no_two_models_that_differ_alone_are_equal_among_several_humans(scene, alone):
+def test_models_that_differ_alone_differ_among_several_humans(scene, alone):
     game, state = scene
     together = CompiledPlans(game, RUNGS)
     found = [
@@ -111,7 +111,7 @@ def test_a_plan_says_its_steps_and_whether_they_converged(played):
     assert 2 < many < 40
 
 
-def test_models_that_differ_only_in_name_plan_alike_in_any_assignment(played):
+def test_models_that_differ_only_in_name_plan_alike(played):
     """A start is a start of its own, not of another model's."""
     game, state = played_by(played, "merger")
     twin = dataclass(frozen=True)(type("Twin", (Eager,), {"name": "twin"}))
@@ -168,16 +168,14 @@ def test_models_whose_methods_no_plan_would_obey_are_refused(base, own, message)
         ),
     ],
 )
-def test_solvers_and_starts_that_plans_cannot_take_are_refused_in_one_sentence(
-    played, own, message
-):
+def test_solvers_and_starts_that_plans_cannot_take_are_refused(played, own, message):
     game, state = played_by(played, "dense_merge")
     model = dataclass(frozen=True)(type("Own", (TheoryOfMind,), {"name": "own", **own}))
     with pytest.raises(ValueError, match=message):
         ms_highway.plan(game, np.array(state), model())
 
 
-def test_a_plan_of_its_own_and_a_solver_of_another_type_are_refused(played):
+def test_own_plans_and_solvers_of_another_type_are_refused(played):
     own = dataclass(frozen=True)(
         type("Own", (TheoryOfMind,), {"name": "own", "plan": lambda *_: None})
     )

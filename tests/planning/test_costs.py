@@ -12,7 +12,7 @@ from ms_highway.planning.ladders import ladder
 SECONDS = {"naive": 0.25, "turn": 0.5, "tom": 1.0}
 
 
-def test_a_human_adds_what_its_model_costs_over_the_first_one():
+def test_a_human_adds_the_cost_over_the_first_model():
     costs = Costs.of(SECONDS, humans=3)
     assert costs.of_models(["naive"] * 3) == 0.25
     assert costs.of_models(["tom", "naive", "turn"]) == 0.25 + 0.75 + 0.0 + 0.25
@@ -20,7 +20,7 @@ def test_a_human_adds_what_its_model_costs_over_the_first_one():
     assert costs.seconds == SECONDS
 
 
-def test_names_and_numbers_of_rungs_count_the_same_time_live_and_in_batches():
+def test_names_and_numbers_of_rungs_count_the_same_time():
     costs = Costs.of(SECONDS, humans=2).select(["naive", "tom"])
     rungs = np.array([[0, 0], [0, 1], [1, 1]])
     named = [costs.of_models([costs.names[rung] for rung in row]) for row in rungs]
@@ -30,7 +30,7 @@ def test_names_and_numbers_of_rungs_count_the_same_time_live_and_in_batches():
     )
 
 
-def test_what_is_unknown_has_no_time_and_is_not_taken_for_known():
+def test_an_unknown_model_has_no_time():
     costs = Costs.of(SECONDS, humans=1).select(["lost", "tom"])
     assert costs.of_models(["lost"]) is None
     assert costs.of_models(["elsewhere"]) is None

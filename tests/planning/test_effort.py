@@ -64,7 +64,7 @@ def test_an_invalid_effort_is_refused_with_the_remedy(name):
 @pytest.mark.parametrize(
     "names", [[], ["tom", "tom@40"], ["tom@8+warm", "tom@8"], ["tom@4", "naive"]]
 )
-def test_a_ladder_is_ordered_by_model_and_then_by_number_of_steps(names):
+def test_a_ladder_is_ordered_by_model_and_number_of_steps(names):
     with pytest.raises(
         ValueError, match=r"cheapest first.*of the same model fewer steps first"
     ):
@@ -128,29 +128,25 @@ def test_costs_are_those_given_or_proportional_to_the_steps():
             "costs": given,
             **config,
         }
-        return read_own(
-            Settings, ENVIRONMENTS["merger"].checked_config(config)
-        ).counted.seconds
+        checked = ENVIRONMENTS["merger"].checked_config(config)
+        return read_own(Settings, checked).counted.seconds
 
     published = costs("published", "naive", "tom@8", "tom@8+warm", "tom+warm")
     assert published["tom@8"] == published["tom@8+warm"] == pytest.approx(0.37 * 8 / 20)
     assert published["tom+warm"] == published["tom"] == 0.37
-    of_seconds = costs(
-        "published", "naive@4", "tom@8", solver="convex_newton"
-    )  # whose steps are 8, and 4 if answered
+
+    # Plans of seconds take 8 steps, and 4 to which humans respond.
+    of_seconds = costs("published", "naive@4", "tom@8", solver="convex_newton")
     assert of_seconds["naive@4"] == pytest.approx(0.09 / 2)
     assert of_seconds["tom@8"] == pytest.approx(0.37 * 2)
-    given = costs(
-        {"naive": 0.1, "tom": 0.4, "tom@8": 0.3}, "naive", "tom@4", "tom@8+warm"
-    )
+
+    by_name = {"naive": 0.1, "tom": 0.4, "tom@8": 0.3}
+    given = costs(by_name, "naive", "tom@4", "tom@8+warm")
     assert given["tom@4"] == pytest.approx(0.08)
     assert given["tom@8+warm"] == 0.3
-    assert (
-        costs("published", "naive", controller={"type": "fixed", "model": "turn@5"})[
-            "turn@5"
-        ]
-        == 0.17 / 4
-    )
+
+    fixed = {"type": "fixed", "model": "turn@5"}
+    assert costs("published", "naive", controller=fixed)["turn@5"] == 0.17 / 4
     assert not costs("measured", "naive", "tom@8")
     with pytest.raises(ValueError, match="unknown key 'tom@0'"):
         costs({"naive": 0.1, "tom@0": 1}, "naive")

@@ -1,7 +1,6 @@
 """Plans under the ladder of human models."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import jax
 import numpy as np
@@ -41,8 +40,9 @@ def test_mirrored_scenes_give_mirrored_plans(played, name):
 
 @jit_quickly
 def derivatives(game, state, robot, human):
-    """The slopes of the robot's reward in both sides of a plan; how the slope of the
-    human's reward changes in both.
+    """The slopes of the robot's reward in both sides of a plan.
+
+    And how the slope of the human's reward changes in both.
     """
     own, seen = swap_players(game, state)
 
@@ -74,7 +74,7 @@ def test_theory_of_mind_steps_along_the_total_derivative(played):
     )
 
 
-def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
+def test_theory_of_mind_but_not_naive_makes_the_human_yield(played):
     """In plans for Merger, the human brakes for a robot that counts on it, and the
     robot steers in.
     """
@@ -85,16 +85,15 @@ def test_theory_of_mind_makes_the_human_yield_and_naive_does_not(played):
     assert tom.robot[0, 0] < naive.robot[0, 0] < 0  # to the left, and more so
 
 
-def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limits_cut_that(
+def test_a_prediction_that_limits_cut_gives_a_warning(
     played,
 ):
     game, state = played("merger")
-    acceleration = (
-        plan(Brakes(50.0), game, state).humans[..., 1] * game.planner.control_scale[1]
-    )
-    np.testing.assert_allclose(
-        acceleration, 0.2 * state[1, 3] - 50.0, rtol=1e-5
-    )  # friction is made up for
+    humans = plan(Brakes(50.0), game, state).humans
+    acceleration = humans[..., 1] * game.planner.control_scale[1]
+    friction = 0.2 * state[1, 3]
+    np.testing.assert_allclose(acceleration, friction - 50.0, rtol=1e-5)
+
     limited, _ = played("merger", control_limit=(0.2, 8.0))
     with pytest.warns(
         UserWarning,
@@ -106,7 +105,7 @@ def test_a_registered_model_predicts_in_si_units_and_there_is_a_warning_if_limit
 @dataclass(frozen=True)
 class Says(ms_highway.PredictedHuman):
     name = "says"
-    what: Any = None
+    what: object = None
 
     def predict(self, game, state, start=None):
         return self.what
@@ -116,9 +115,7 @@ class Says(ms_highway.PredictedHuman):
     ("what", "told"),
     [(None, "None"), (((0.0, -4.0),) * 3, r"an array of shape \(3, 2\)")],
 )
-def test_an_invalid_prediction_is_refused_with_the_shape_and_the_units(
-    played, what, told
-):
+def test_an_invalid_prediction_is_refused_with_shape_and_units(played, what, told):
     game, state = played("merger")
     with pytest.raises(
         ValueError,

@@ -38,12 +38,12 @@ def start(state, last, humans):
 def earned(state, robot):
     """What the robot's plan earns where others keep their velocity."""
     others = move_all(GAME, state[1:], constant_velocity(GAME, state[1:]))
-    return GAME.payoff.total(move(GAME, state[0], robot), others) - discomfort(
-        GAME, state[0], robot
-    )
+    reward = GAME.payoff.total(move(GAME, state[0], robot), others)
+    return reward - discomfort(GAME, state[0], robot)
 
 
-def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lane():
+def test_a_car_ends_in_the_gap_that_it_drives_into():
+    """There is a gap ahead of each car, and one behind the last of each lane."""
     state = traffic(-14.0, 2.0, pace=21.0)
     last, first = state[1:, 0] + 6.0 * 21.0
     x, y, _, speed = np.asarray(ways(state))[:, -1].T
@@ -53,44 +53,40 @@ def test_a_car_ends_in_the_gap_ahead_of_each_car_and_behind_the_last_of_each_lan
     assert last + 5.0 < ahead_of_last < first - 5.0
     assert ahead_of_all > first + 5.0
     assert behind_all < last - 5.0
-    np.testing.assert_allclose(
-        [y[3], speed[3]], [0.0, SPEED], atol=0.01
-    )  # in the own lane, where nobody drives
+    # In the own lane, nobody drives.
+    np.testing.assert_allclose([y[3], speed[3]], [0.0, SPEED], atol=0.01)
 
 
-def test_a_plan_that_is_good_enough_is_kept_and_one_that_collides_or_is_not_finite_is_replaced():
+def test_a_plan_starts_from_a_manoeuvre_that_is_much_better():
+    """One that is good enough is kept; one that collides or is not finite is not."""
     state = traffic(-30.0, 30.0)
     kept, humans = cold_start(GAME, state)
-    first = start(state, kept, humans)
-    assert (
-        earned(state, first) > earned(state, kept) + RESTART.margin
-    )  # it changes lanes
+    first = start(state, kept, humans)  # it changes lanes
+    assert earned(state, first) > earned(state, kept) + RESTART.margin
     np.testing.assert_array_equal(start(state, first, humans), first)
 
     blocked = state.copy()
     blocked[1] = [-30.0, 0.0, 0.0, 5.0]
     assert earned(blocked, kept) < -100
-    assert (
-        earned(blocked, start(blocked, kept, constant_velocity(GAME, blocked[1:]))) > 0
-    )
+    freed = start(blocked, kept, constant_velocity(GAME, blocked[1:]))
+    assert earned(blocked, freed) > 0
 
     lost = np.full_like(kept, np.nan)
     assert np.isfinite(start(state, lost, humans)).all()
     assert np.isnan(start(state, lost, np.full_like(humans, np.nan))).all()
 
 
-def test_a_car_that_stands_before_an_obstacle_leaves_its_lane_once_the_other_is_free():
+def test_a_standing_car_leaves_its_lane_before_an_obstacle():
     """At standstill, steering costs no comfort: a curve without speed is none."""
     before = float(GAME.scene.obstacles[:, 0].min()) - 8.0
-    state = np.float32(
-        [[before, 0.0, 0.0, 0.0], *[[before + 167.0, TARGET, 0.0, SPEED]] * 2]
-    )
+    gone = [before + 167.0, TARGET, 0.0, SPEED]
+    state = np.float32([[before, 0.0, 0.0, 0.0], gone, gone])
     path = np.asarray(move(GAME, state[0], start(state, *cold_start(GAME, state))))
     assert path[1, -1] < TARGET / 2
     assert path[4, -1] > 5.0
 
 
-def test_a_car_stays_in_its_lane_until_its_place_in_a_narrow_gap_is_beside_it():
+def test_a_car_stays_in_its_lane_until_beside_the_gap():
     into = np.asarray(ways(traffic(-17.0, -6.0)))[0]
     middle = SPEED * 0.1 * np.arange(1, 61) - 60.0 - 11.5
     beside = int(np.argmax(abs(into[:, 0] - middle) < 2.5))

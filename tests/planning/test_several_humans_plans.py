@@ -1,6 +1,4 @@
-"""Plans among several humans: assignments of models, far humans, their order, and
-numbers of steps.
-"""
+"""Plans among several humans: assignments of models, far humans, order and steps."""
 
 from dataclasses import replace
 
@@ -25,14 +23,17 @@ LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0))
 NAIVE, IDM, TURN, TOM, BRAKES = range(len(LADDER))
 
 
+def with_weights(game, weights):
+    """The game of humans with other weights."""
+    return replace(game, humans=replace(game.humans, weights=weights))
+
+
 @pytest.fixture(scope="module")
 def three(played):
-    """Dense Merge with three humans, whose rewards differ, and plans of half a second."""
+    """Dense Merge with three humans whose rewards differ; plans of half a second."""
     game, state = played("dense_merge", humans=3)
     weights = game.humans.weights * np.float32([[1.0], [1.5], [0.5]])
-    return replace(game, humans=replace(game.humans, weights=weights)), checked_state(
-        state
-    )
+    return with_weights(game, weights), checked_state(state)
 
 
 @pytest.fixture(scope="module")
@@ -56,10 +57,7 @@ def test_one_compilation_serves_all_assignments(three, plans):
     found = [plans.plan(state, rungs)[0].plan.robot for rungs in drawn]
     assert np.isfinite(found).all()
     assert abs(np.diff(found, axis=0)).max() > 1e-3
-    bolder = CompiledPlans(
-        replace(game, humans=replace(game.humans, weights=game.humans.weights * 1.1)),
-        LADDER,
-    )
+    bolder = CompiledPlans(with_weights(game, game.humans.weights * 1.1), LADDER)
     first, _ = plans.plan(state, [TOM] * 3)
     again, _ = bolder.plan(state, [TOM] * 3, first.plan)
     assert np.isfinite(again.plan.robot).all()
@@ -80,31 +78,26 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
         humans = move_all(game, state[1:4], start.humans)
         own = swap_roles(game, human)
         around = trajectories_around(human, robot, humans)
-        return own.payoff.second_order(humans[human], around).partner, mixed_bends(
-            own, humans[human], around
-        )
+        with_others = own.payoff.second_order(humans[human], around).partner
+        return with_others, mixed_bends(own, humans[human], around)
 
     wanted, bends = with_and_without(np.arange(3))
     np.testing.assert_allclose(bends, wanted, rtol=1e-3, atol=1e-4)
     assert np.abs(wanted).max() > 0.1
 
 
-def test_each_human_is_predicted_in_the_game_of_the_robot_with_this_human_alone(
-    three, plans
-):
+def test_each_human_is_predicted_with_the_robot_alone(three, plans):
     game, state = three
     rungs = [TURN, IDM, BRAKES]
     scale = game.planner.control_scale
     found = plans.plan(state, rungs)[0].plan.humans
     for human, rung in enumerate(rungs[:2]):
-        close(
-            found[human],
-            jit_quickly(LADDER[rung].predict)(*pair(game, state, human)) / scale,
-        )
+        predict = jit_quickly(LADDER[rung].predict)
+        close(found[human], predict(*pair(game, state, human)) / scale)
     close(found[2, :, 1], (0.2 * state[3, 3] - 3.0) / scale[1])  # predicted in SI units
 
 
-def test_a_human_that_is_far_away_changes_nothing_under_any_model(three, plans):
+def test_a_far_human_changes_nothing_under_any_model(three, plans):
     away = three[1].copy()
     away[3, 0] -= 2000.0
     expected = plans.plan(away, [TOM, TURN, NAIVE])[0].plan
@@ -119,10 +112,7 @@ def test_the_order_of_humans_changes_nothing(three, plans):
     rungs = np.array([TOM, TURN, NAIVE])
     order = np.array([2, 0, 1])
     expected = plans.plan(state, rungs)[0].plan
-    reordered = CompiledPlans(
-        replace(game, humans=replace(game.humans, weights=game.humans.weights[order])),
-        LADDER,
-    )
+    reordered = CompiledPlans(with_weights(game, game.humans.weights[order]), LADDER)
     plan = reordered.plan(state[[0, *(1 + order)]], rungs[order])[0].plan
     close(plan.robot, expected.robot)
     close(plan.humans, expected.humans[order])
@@ -144,18 +134,15 @@ def test_each_human_responds_in_the_steps_of_its_own_model(
     assert found.robot_steps == robot_steps
 
 
-def test_plans_start_from_zero_controls_or_up_a_smooth_reward_from_constant_velocity(
-    three, plans
-):
+def test_plans_up_a_smooth_reward_start_from_constant_velocity(three, plans):
     game, state = three
     start = cold_start(game, state)
-    assert start.humans[2, 4] * game.planner.control_scale == pytest.approx(
-        [0.0, 0.2 * state[3, 3]], rel=1e-5
-    )
-    assert {type(part) for part in start} == {
-        np.ndarray
-    }  # computed by NumPy, as its time is not counted
+    last_control = start.humans[2, 4] * game.planner.control_scale
+    assert last_control == pytest.approx([0.0, 0.2 * state[3, 3]], rel=1e-5)
+    # Computed by NumPy, as its time is not counted.
+    assert {type(part) for part in start} == {np.ndarray}
     *_, begin = plans.call(state, [TOM] * 3)
     np.testing.assert_array_equal(begin.humans, start.humans)
+    # Those up the paper's reward start from zero.
     papers = replace(game, planner=replace(game.planner, solver=Ascent()))
     assert not any(controls.any() for controls in cold_start(papers, state))

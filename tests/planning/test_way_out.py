@@ -36,14 +36,14 @@ STEADY = scaled(0.0, 0.0)
 
 @jax.jit
 def robot_collides(state):
-    return (
-        features(GAME.scene, GAME.robot, state)[GAME.robot.names.index("collision")] > 0
-    )
+    collision = GAME.robot.names.index("collision")
+    return features(GAME.scene, GAME.robot, state)[collision] > 0
 
 
 def moved(state, control):
-    """The state after a control of the robot, while humans keep their velocity, and
-    whether the robot collides then.
+    """The state after a control of the robot, and whether the robot collides then.
+
+    Humans keep their velocity.
     """
     controls = keep_velocity(GAME.dynamics, state)
     controls[0] = control * GAME.planner.control_scale
@@ -54,9 +54,8 @@ def moved(state, control):
 def collides_if_it_wants(state, control, keeps_way_out=True):
     for _ in range(STEPS):
         found = escape(state, control)
-        state, collides = moved(
-            state, found.controls[0] if keeps_way_out and found.replaces else control
-        )
+        escapes = keeps_way_out and found.replaces
+        state, collides = moved(state, found.controls[0] if escapes else control)
         if collides:
             return True
     return False
@@ -65,14 +64,14 @@ def collides_if_it_wants(state, control, keeps_way_out=True):
 @pytest.mark.parametrize(
     "curvature", [0.0, -0.01], ids=["into the cones", "into a human"]
 )
-def test_a_robot_that_would_collide_brakes_in_time_if_the_next_lane_is_taken(curvature):
+def test_a_robot_brakes_in_time_beside_a_taken_lane(curvature):
     state = beside(-8.0, 0.0, 8.0)
     control = scaled(curvature, 0.0)
     assert collides_if_it_wants(state, control, keeps_way_out=False)
     assert not collides_if_it_wants(state, control)
 
 
-def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
+def test_a_robot_faster_than_the_limit_brakes_in_time():
     """It stops 1.65 m before the cones if it brakes now, and 0.85 m too late if it
     brakes a step later.
 
@@ -85,13 +84,15 @@ def test_a_robot_that_is_faster_than_the_limit_brakes_as_soon_as_it_has_to():
     assert escape(state, STEADY).replaces
 
 
-def test_a_robot_does_not_count_on_a_human_that_swerves_to_leave_the_road():
+def test_a_swerving_human_is_expected_to_stay_on_the_road():
     """The human beside the robot makes room for it, but only up to the edge of the
     road.
     """
     edge = GAME.scene.lanes.min() - 0.5
     state = beside(-3.0, 30.0, 40.0)
-    state[:2, 2], state[0, 1], state[0, 3] = -0.2, -0.5, 23.0
+    state[:2, 2] = -0.2
+    state[0, 1] = -0.5
+    state[0, 3] = 23.0
     cuts_in = keep_velocity(GAME.dynamics, state[0]) / GAME.planner.control_scale
     for _ in range(STEPS):
         found = escape(state, cuts_in)
@@ -107,21 +108,23 @@ def test_a_control_is_judged_over_the_same_time_as_escapes():
     """
     for gap in np.arange(10.0, 60.0, 0.5):
         state = beside(-gap, -gap, -gap)
-        state[1, 1], state[1:, 3] = 0.0, 40.0
+        state[1, 1] = 0.0
+        state[1:, 3] = 40.0
         best = escape(state, np.zeros(2, np.float32)).controls[0]
         assert not escape(state, best).replaces
 
 
-def test_a_robot_speeds_up_before_a_faster_car_from_which_it_cannot_escape():
+def test_a_robot_speeds_up_before_a_faster_car_behind():
     state = beside(-12.0, 0.0, 8.0)
-    state[1, 1], state[1, 3] = 0.0, 30.0
+    state[1, 1] = 0.0
+    state[1, 3] = 30.0
     found = escape(state, STEADY)
     assert found.replaces
     assert found.controls[0, 1] > STEADY[1]
     assert not escape(state, found.controls[0]).replaces  # one that is as good stays
 
 
-def test_a_robot_that_cannot_stop_before_the_cones_brakes_as_hard_as_it_can():
+def test_a_robot_that_cannot_stop_brakes_hard():
     state = beside(-8.0, 0.0, 8.0)
     state[:, 0] += GAME.scene.obstacles[:, 0].min() - 20.0
     found = escape(state, STEADY)
@@ -129,7 +132,7 @@ def test_a_robot_that_cannot_stop_before_the_cones_brakes_as_hard_as_it_can():
     np.testing.assert_allclose(found.controls[0, 1], scaled(0.0, -8.0)[1], rtol=0.01)
 
 
-def test_the_controls_of_an_escape_are_those_that_avoid_the_collision():
+def test_the_controls_of_an_escape_avoid_the_collision():
     state = beside(-8.0, 0.0, 8.0)
     while not (found := escape(state, STEADY)).replaces:
         state, _ = moved(state, STEADY)
