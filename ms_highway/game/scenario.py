@@ -11,6 +11,7 @@ from typing import ClassVar, Literal, TypeAlias
 import jax
 import numpy as np
 
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.dynamics import Dynamics
 from ms_highway.game.game import Game
 from ms_highway.game.reward import Reward, features_for, linear_reward
@@ -52,7 +53,7 @@ second sees a cone only 10 m ahead, so that gradient plans in Stay Back need 50 
 and the human in Merger yields with up to 21 m/s^2.
 """
 
-GRIP = 8.0
+GRIP = CAR_LIMITS.braking
 """Grip of tyres on a dry road, steering and acceleration together [m/s^2].
 
 It limits the first control of every plan and all executed controls. Later controls of a

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import Game
 from ms_highway.loop.step import RemainingPlan
@@ -19,7 +20,7 @@ from ms_highway.runtime.arrays import SameArray, State
 class BrakingSettings:
     """Set how a robot without a plan brakes."""
 
-    deceleration: float = 8.0
+    deceleration: float = CAR_LIMITS.braking
     """Largest deceleration [m/s^2]: hard braking on a dry road."""
 
     straightening_time: float = 0.5

@@ -21,6 +21,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Float
 
 from ms_highway.choice.records import highest_gains
+from ms_highway.game.car_following import CAR_LIMITS
 from ms_highway.game.dynamics import facing, keep_velocity
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
@@ -364,7 +365,7 @@ class YieldingSettings:
     deceleration: float = 3.0
     """Deceleration to make room [m/s^2]."""
 
-    max_deceleration: float = 8.0
+    max_deceleration: float = CAR_LIMITS.braking
     """Largest deceleration, also for a car ahead [m/s^2]."""
 
     min_gap: float = 0.5
