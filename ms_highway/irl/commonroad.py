@@ -1,5 +1,6 @@
 """Convert CommonRoad scenarios to recordings in lane coordinates."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,8 +10,12 @@ from jaxtyping import Float
 from ms_highway.geometry.curve import Curve
 from ms_highway.irl.recording import Recording, fingerprint
 from ms_highway.recorded.commonroad import read_scenario, scenario_files
-from ms_highway.recorded.network import smooth_curves
-from ms_highway.recorded.scenario import Points, TrafficRecording
+from ms_highway.recorded.network import Axes, smooth_curves
+from ms_highway.recorded.scenario import (
+    Points,
+    RecordedTrack,
+    TrafficRecording,
+)
 from ms_highway.recorded.straight_road import straight_road
 
 TrackIdentity = tuple[str, int, float, float]
@@ -51,37 +56,27 @@ def _convert(scenario: TrafficRecording, counted: set[TrackIdentity]) -> Recordi
     have counted.
     """
     road = straight_road(scenario)
-    axes = road.axes
     parallel = _parallel_lanes(road.lines)
     tracks = scenario.tracks
-    labels = [f"obstacle {track.number}" for track in tracks]
+    states = _lane_states(tracks, road.axes, parallel.curve)
 
-    times = 1 + max(track.last for track in tracks)
-    states = np.full((times, len(tracks), 4), np.nan)
+    # A track is a driver in the first file that has it.
+    labels = [f"obstacle {track.number}" for track in tracks]
     drivers = []
     left_out = {}
     for car, track in enumerate(tracks):
-        # Along and across the leftmost lane.
-        steps, _, _, orientation, speed = track.samples.T
-        x, y = axes.positions(track.samples[:, 1:3]).T
-        along, offset, heading = parallel.curve.project(
-            x, y, axes.headings(orientation)
-        )
-        in_lane_coordinates = np.stack([along, offset, heading, speed], axis=-1)
-        states[steps.astype(int), car] = in_lane_coordinates
-
-        # A track is a driver in the first file that has it.
-        start_x, start_y = track.samples[0, 1:3].round(2)
-        identity = (scenario.group, track.number, start_x, start_y)
-        with_the_road = np.abs(np.median(heading)) < np.pi / 2
+        steps = track.samples[:, 0].astype(int)
+        headings = states[steps, car, 2]
+        with_the_road = np.abs(np.median(headings)) < np.pi / 2
         is_driver = track.drives and len(steps) > 1 and with_the_road
+        identity = _identity(scenario.group, track)
         if not is_driver or identity in counted:
             continue
         counted.add(identity)
         has_gap = np.ptp(steps) >= len(steps)
         if has_gap:
             left_out[labels[car]] = (
-                f"was not seen at each step from {steps[0]:g} to {steps[-1]:g}"
+                f"was not seen at each step from {steps[0]} to {steps[-1]}"
             )
         else:
             drivers.append(car)
@@ -102,6 +97,27 @@ def _convert(scenario: TrafficRecording, counted: set[TrackIdentity]) -> Recordi
         fingerprint=fingerprint(samples),
         left_out=left_out,
     )
+
+
+def _identity(group: str, track: RecordedTrack) -> TrackIdentity:
+    """Return what a track has in common with the same track in another file."""
+    x, y = track.samples[0, 1:3].round(2).tolist()
+    return group, track.number, x, y
+
+
+def _lane_states(
+    tracks: Sequence[RecordedTrack], axes: Axes, curve: Curve
+) -> Float[np.ndarray, "times cars 4"]:
+    """Return the states of all tracks along and across a lane, NaN where not seen."""
+    times = 1 + max(track.last for track in tracks)
+    states = np.full((times, len(tracks), 4), np.nan)
+    for car, track in enumerate(tracks):
+        steps, _, _, orientation, speed = track.samples.T
+        x, y = axes.positions(track.samples[:, 1:3]).T
+        along, offset, heading = curve.project(x, y, axes.headings(orientation))
+        of_track = np.stack([along, offset, heading, speed], axis=-1)
+        states[steps.astype(int), car] = of_track
+    return states
 
 
 class ParallelLanes(NamedTuple):

@@ -287,34 +287,13 @@ def fit_weights(
     with double_precision():
         given = np.array([*model.given.values()], dtype=float)
         data = FitData(jax.device_put(derivatives), model.floor, model.signs(), given)
-
-        def loss(logarithms: Parameters) -> tuple[float, np.ndarray]:
-            (value, _), slope = _loss(logarithms, *data)
-            return float(value), np.asarray(slope)
-
-        def curvature(logarithms: Parameters) -> np.ndarray:
-            return _checked_curvature(logarithms, first, data, model)
-
-        result = optimize.minimize(
-            loss,
-            first,
-            jac=True,
-            hess=curvature,
-            method="trust-exact",
-            options={
-                "gtol": WEIGHT_FIT.tolerance / 10,
-                "initial_trust_radius": WEIGHT_FIT.initial_trust_radius,
-                "max_trust_radius": WEIGHT_FIT.max_trust_radius,
-                "maxiter": WEIGHT_FIT.iterations,
-            },
-        )
-        best = result.x
-        hessian = curvature(best)
+        best, iterations = _minimum(first, data, model)
+        hessian = _checked_curvature(best, first, data, model)
         (_, likelihoods), slope = _loss(best, *data)
         if np.abs(slope).max() >= WEIGHT_FIT.tolerance:
             name = _parameter_names(model)[np.abs(slope).argmax()]
             raise ValueError(
-                f"the fit has not converged: {name} still changes after {result.nit}"
+                f"the fit has not converged: {name} still changes after {iterations}"
                 " iterations; learn fewer weights, or from more driving"
             )
 
@@ -331,7 +310,7 @@ def fit_weights(
         model=model,
         logarithms=best,
         covariance=covariance,
-        iterations=int(result.nit),
+        iterations=iterations,
         log_likelihood=log_likelihood,
         weights=weights,
         temperature=temperature,
@@ -353,6 +332,38 @@ class FitData(NamedTuple):
     floor: float
     signs: Parameters
     given: Parameters
+
+
+def _minimum(
+    first: Parameters, data: FitData, model: RewardModel
+) -> tuple[Parameters, int]:
+    """Return the logarithms at which the loss is least, and the number of iterations.
+
+    Raises:
+        DivergenceError: if a logarithm grows or falls without bound.
+    """
+
+    def loss(logarithms: Parameters) -> tuple[float, np.ndarray]:
+        (value, _), slope = _loss(logarithms, *data)
+        return float(value), np.asarray(slope)
+
+    def curvature(logarithms: Parameters) -> np.ndarray:
+        return _checked_curvature(logarithms, first, data, model)
+
+    result = optimize.minimize(
+        loss,
+        first,
+        jac=True,
+        hess=curvature,
+        method="trust-exact",
+        options={
+            "gtol": WEIGHT_FIT.tolerance / 10,
+            "initial_trust_radius": WEIGHT_FIT.initial_trust_radius,
+            "max_trust_radius": WEIGHT_FIT.max_trust_radius,
+            "maxiter": WEIGHT_FIT.iterations,
+        },
+    )
+    return result.x, int(result.nit)
 
 
 def _parameter_names(model: RewardModel) -> list[str]:

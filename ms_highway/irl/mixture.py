@@ -101,9 +101,9 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
     """Estimate how much probability is denser than each position.
 
     This is the probability of the region of highest density that has the position on
-    its edge, estimated by the share of 256 draws from the predicted distribution whose density is
-    higher. If the predicted spread is right, levels are distributed uniformly: half of
-    the drivers are in the 50 % region.
+    its edge, estimated by the share of 256 draws from the predicted distribution whose
+    density is higher. If the predicted spread is right, levels are distributed
+    uniformly: half of the drivers are in the 50 % region.
     """
     draws = 256
     # Heavy tails exceed floating-point numbers: bounds of a chi-square, and of a draw.
