@@ -30,8 +30,8 @@ from ms_highway.cli.options import (
     MAX_FIRST_SEED,
     SCENARIOS,
     SET,
-    comparison,
     controllers,
+    read_comparison,
 )
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def bench(options: argparse.Namespace) -> None:
     )
     from ms_highway.visualization.tables import speed_table
 
-    asked = comparison(options)
+    comparison = read_comparison(options)
     devices = options.devices
 
     # How to set up JAX in a process of its own, and what to measure there.
@@ -95,13 +95,13 @@ def bench(options: argparse.Namespace) -> None:
         measures.append((high_throughput, measure_batches))
 
     results: dict[str, dict[str, dict[str, float]]] = {}
-    for scenario, names in asked.controllers.items():
+    for scenario, names in comparison.controllers.items():
         results[scenario] = {name: {} for name in names}
     for (scenario, found), (configure, measure) in product(results.items(), measures):
         # The process is warm after its first controller.
         with own_process(configure, options.modules) as process:
             for name in found:
-                figures = process.submit(measure, asked, scenario, name).result()
+                figures = process.submit(measure, comparison, scenario, name).result()
                 tell(f"measured {scenario}, {name}: {', '.join(figures)}")
                 found[name] |= figures
     print_tables(

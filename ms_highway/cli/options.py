@@ -107,7 +107,7 @@ def controllers(text: str) -> Option:
     )
 
 
-def compared(
+def comparison_options(
     seeds: int,
     out: str | None,
     beside: str = "(default: all models of the ladder, and switching)",
@@ -115,7 +115,7 @@ def compared(
 ) -> list[Option]:
     """Return the options that say what to compare and where the results go.
 
-    `comparison` reads them.
+    `read_comparison` reads them.
 
     Args:
         seeds: default number of episodes.
@@ -193,7 +193,7 @@ def _value(text: str) -> object:
     return text
 
 
-def comparison(
+def read_comparison(
     options: argparse.Namespace,
     always: Sequence[str] = (),
     prices: Sequence[float] | None = None,
@@ -201,7 +201,7 @@ def comparison(
     """Return the comparison that a command's options describe.
 
     Args:
-        options: of the command, see `compared`.
+        options: of the command, see `comparison_options`.
         always: controllers to compare in any case, together with the models of the
             ladder.
         prices: lambdas of learned controllers that are named without one; by default,

@@ -22,8 +22,8 @@ from ms_highway.cli.options import (
     DEFAULT_CONTROLLER,
     DEVICES,
     FORMATS,
-    compared,
-    comparison,
+    comparison_options,
+    read_comparison,
 )
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @command(
     "compare",
     "compare controllers over many episodes",
-    *compared(
+    *comparison_options(
         30,
         "results/compare",
         f"(default: all models of the ladder, {DEFAULT_CONTROLLER}, and switching)",
@@ -104,45 +104,47 @@ def compare(options: argparse.Namespace) -> None:
     from ms_highway.visualization.figures import CAPTIONS, figures
     from ms_highway.visualization.tables import table
 
-    asked = comparison(options)
+    comparison = read_comparison(options)
     if not options.controllers:
-        asked = _with_learned(asked)
+        comparison = _with_learned(comparison)
     with ResultsDirectory(options.out).owned() as directory:
-        counts = run(asked, options.out, 2, options.modules)
-        wanted = len(list(asked.episodes()))
+        counts = run(comparison, options.out, 2, options.modules)
+        total = len(list(comparison.episodes()))
         already = next(counts)
-        record_run(directory, options, computes=already < wanted)
-        if already < wanted:
+        record_run(directory, options, computes=already < total)
+        if already < total:
             # Figures that are there show fewer episodes.
-            for scenario, name, kind in product(asked.controllers, CAPTIONS, FORMATS):
+            for scenario, name, kind in product(
+                comparison.controllers, CAPTIONS, FORMATS
+            ):
                 (options.out / f"{scenario}_{name}.{kind}").unlink(missing_ok=True)
-        count_episodes(counts, already, wanted)
+        count_episodes(counts, already, total)
 
         # Print the results of this command; keep also those of commands before it.
         results = read_results(options.out)
-        own = summary(only(asked, results.records))
-        print_tables(*(table(own, scenario) for scenario in asked.controllers))
+        own = summary(only(comparison, results.records))
+        print_tables(*(table(own, scenario) for scenario in comparison.controllers))
         write_table(results.summaries, options.out / "summary.csv")
-        for scenario in asked.controllers:
+        for scenario in comparison.controllers:
             drawings = figures(results.records, results.summaries, scenario)
             named = {f"{scenario}_{name}": draw for name, draw in drawings.items()}
             save_figures(named, options.out, options.format)
     say(f"results are in {options.out}")
 
 
-def _with_learned(asked: "Comparison") -> "Comparison":
+def _with_learned(comparison: "Comparison") -> "Comparison":
     """Insert learned values before switching, in scenarios whose ladder they know."""
     controllers = {}
-    for scenario, names in asked.controllers.items():
+    for scenario, names in comparison.controllers.items():
         controllers[scenario] = list(names)
         try:
-            asked.environment_config(scenario, DEFAULT_CONTROLLER)
+            comparison.environment_config(scenario, DEFAULT_CONTROLLER)
         except ValueError as error:
             warn(f"{scenario} is compared without {DEFAULT_CONTROLLER}: {error}")
             continue
         before_switching = list(takewhile(_does_not_switch, names))
         controllers[scenario].insert(len(before_switching), DEFAULT_CONTROLLER)
-    return replace(asked, controllers=controllers)
+    return replace(comparison, controllers=controllers)
 
 
 def _does_not_switch(controller: str) -> bool:
@@ -152,7 +154,7 @@ def _does_not_switch(controller: str) -> bool:
 @command(
     "sweep",
     "simulate thousands of episodes at once",
-    *compared(1000, None),
+    *comparison_options(1000, None),
     option(
         "--steps",
         "also keep a row per step, about 40 times as much data",
@@ -233,7 +235,7 @@ def sweep(options: argparse.Namespace) -> None:
             "--devices compute on this machine, and --scheduler on others; leave"
             " one out"
         )
-    asked = comparison(options)
+    comparison = read_comparison(options)
     out = options.out
     with needing("sweep"):
         # It writes the parts.
@@ -245,20 +247,20 @@ def sweep(options: argparse.Namespace) -> None:
     # What computes the parts: workers of a cluster, or this machine.
     computing: AbstractContextManager[Compute]
     if options.scheduler:
-        computing = connected(options.scheduler, asked, options.modules)
+        computing = connected(options.scheduler, comparison, options.modules)
     else:
         devices = use_devices(options.devices)
         computing = nullcontext(partial(simulate_parts, devices=devices))
 
     with ResultsDirectory(out).owned() as directory, computing as compute:
-        counts = run_batched(asked, out, options.part, options.steps, compute)
-        wanted = len(list(asked.episodes()))
+        counts = run_batched(comparison, out, options.part, options.steps, compute)
+        total = len(list(comparison.episodes()))
         already = next(counts)
-        record_run(directory, options, computes=already < wanted)
-        count_episodes(counts, already, wanted)
+        record_run(directory, options, computes=already < total)
+        count_episodes(counts, already, total)
 
-        (scenario,) = asked.controllers
-        summaries = summary(read_episodes(out, asked, options.part))
+        (scenario,) = comparison.controllers
+        summaries = summary(read_episodes(out, comparison, options.part))
         write_table(summaries, out / "summary.csv")
         print_tables(table(summaries, scenario))
         drawings = {f"{scenario}_curve": partial(curve, summaries, scenario)}

@@ -26,9 +26,9 @@ from ms_highway.cli.options import (
     MAX_FIRST_SEED,
     SCENARIOS,
     SET,
-    compared,
-    comparison,
+    comparison_options,
     configuration,
+    read_comparison,
 )
 from ms_highway.runtime.names import SCENARIO_NAMES
 
@@ -221,7 +221,7 @@ FRONTIER_LAMBDAS = (
 @command(
     "frontier",
     "search for the best orders of models",
-    *compared(
+    *comparison_options(
         30,
         "results/frontier",
         "(learned: at each of --prices), beside the ladder's models and switching",
@@ -284,17 +284,17 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tradeoff import frontier
 
     options.lambdas = options.lambdas or [FRONTIER_LAMBDAS]
-    asked = comparison(options, ["switching"], options.prices)
+    comparison = read_comparison(options, ["switching"], options.prices)
     devices = use_devices(options.devices)
     out = options.out
-    batches = {name: make_batch(asked, name) for name in asked.controllers}
+    batches = {name: make_batch(comparison, name) for name in comparison.controllers}
     for batch in batches.values():
         _check_costs(batch)
-    seeds = asked.seed_range
+    seeds = comparison.seed_range
     orders = pd.DataFrame()
     behind = pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
-        settings = directory.take_up(asked.common_config(), asked.sources())
+        settings = directory.take_up(comparison.common_config(), comparison.sources())
         every = {
             name: Outcomes(batch, out / f"{name}_episodes.csv", devices)
             for name, batch in batches.items()
@@ -325,7 +325,7 @@ def frontier(options: argparse.Namespace) -> None:
                     )
 
                 # Judge what was found at every price.
-                names = asked.controllers[scenario]
+                names = comparison.controllers[scenario]
                 for price in dict.fromkeys(options.prices):
                     place = {"scenario": scenario, "price": price}
                     found = best(outcomes.table, seeds, price).reset_index()
@@ -336,7 +336,7 @@ def frontier(options: argparse.Namespace) -> None:
                 write_table(behind, out / "regrets.csv")
                 draw = partial(frontier, behind, scenario, options.seeds)
                 save_figures({f"{scenario}_frontier": draw}, out, options.format)
-    for scenario in asked.controllers:
+    for scenario in comparison.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")
 
@@ -423,13 +423,13 @@ def learn(options: argparse.Namespace) -> None:
     # A controller that needs T(M) of all models, which learning needs, too.
     scenarios = options.scenarios or PAPER_SCENARIOS
     controllers = {name: ["switching:1"] for name in scenarios}
-    asked = Comparison(controllers, config=configuration(options))
+    comparison = Comparison(controllers, config=configuration(options))
     learning, batches = prepare(
-        asked, options.rounds, options.states, options.horizon, options.seed
+        comparison, options.rounds, options.states, options.horizon, options.seed
     )
     values = None
     kept = options.out.with_name(f"{options.out.name}.rollouts")
-    tell(f"{next(iter(asked.controllers))}: compiling")
+    tell(f"{next(iter(comparison.controllers))}: compiling")
     for done, fitted in learn(learning, batches, kept, use_devices(options.devices)):
         tell(done)
         values = fitted or values

@@ -23,7 +23,13 @@ from ms_highway.choice.situation import description_names
 from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
-from ms_highway.experiments.rollouts import SEVERAL, Driving, Learning, Random, Rollouts
+from ms_highway.experiments.rollouts import (
+    SEVERAL,
+    LearningSettings,
+    Random,
+    Rollouts,
+    RolloutSimulator,
+)
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.ladders import cheapest_first, human_model, ladder
 from ms_highway.runtime.arrays import Array
@@ -74,7 +80,7 @@ def prepare(
     states: int | None,
     horizon: int | None,
     seed: int,
-) -> tuple[Learning, list[Batch]]:
+) -> tuple[LearningSettings, list[Batch]]:
     """Return the settings of learning, and the scenarios.
 
     None stands for the usual number.
@@ -131,18 +137,20 @@ def prepare(
     for batch in batches:
         seconds |= batch.costs.seconds
     costs = {name: seconds[name] for name in models}
-    learning = Learning(costs, seed=seed, settings=provenance, **own)
+    learning = LearningSettings(costs, seed=seed, settings=provenance, **own)
     return learning, batches
 
 
-def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
+def fit_values(
+    learning: LearningSettings, done: Sequence[Rollouts], number: int
+) -> Values:
     """Fit values to the rollouts of ``number`` rounds.
 
     Without rollouts, return values that mean nothing.
     """
-    random = _stream(how, number, Stream.FIT)
+    random = _stream(learning, number, Stream.FIT)
     names = description_names()
-    network = new_network(random, len(names), len(how.costs) - 1)
+    network = new_network(random, len(names), len(learning.costs) - 1)
     centre = np.zeros(len(names))
     spread = np.ones(len(names))
     if done:
@@ -157,22 +165,22 @@ def fitted(how: Learning, done: Sequence[Rollouts], number: int) -> Values:
         fitted_network = _fit(network, chosen, standard, np.float32(gains))
         network = jax.tree.map(np.asarray, fitted_network)
     provenance = {
-        **how.settings,
+        **learning.settings,
         "examples": sum(len(part.descriptions) for part in done),
         "rounds": number,
-        "horizon": how.horizon,
-        "held": how.held,
+        "horizon": learning.horizon,
+        "held": learning.held,
     }
-    return Values(network, centre, spread, tuple(how.costs), names, provenance)
+    return Values(network, centre, spread, tuple(learning.costs), names, provenance)
 
 
-def _stream(how: Learning, *place: int) -> Random:
+def _stream(learning: LearningSettings, *place: int) -> Random:
     """Return the random numbers of a place: a round, a `Stream` and a scenario."""
-    return np.random.default_rng([how.seed, *place])
+    return np.random.default_rng([learning.seed, *place])
 
 
 def learn(
-    learning: Learning,
+    learning: LearningSettings,
     batches: Sequence[Batch],
     kept: Path,
     devices: Devices | None = None,
@@ -201,7 +209,7 @@ def learn(
     )
     results.write_settings(settings)
 
-    values = fitted(learning, [], 0)
+    values = fit_values(learning, [], 0)
     done: list[Rollouts] = []
     for number in range(1, learning.rounds + 1):
         is_later = number > 1
@@ -211,16 +219,16 @@ def learn(
                 seconds = {name: learning.costs[name] for name in batch.rungs}
                 costs = Costs.of(seconds, batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
-                driving = Driving(batch, learning, rule, is_later, devices)
+                simulator = RolloutSimulator(batch, learning, rule, is_later, devices)
                 random = _stream(learning, number, Stream.ROLLOUTS, place)
-                found = driving.roll_out(random, learning.states[is_later])
+                found = simulator.roll_out(random, learning.states[is_later])
                 results.add_late_sources(settings, late_sources())
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
             done.append(read_rollouts(file))
             scenario = batch.environment.scenario.name
             yield f"round {number} of {learning.rounds}: {scenario}", None
-        values = fitted(learning, done, number)
+        values = fit_values(learning, done, number)
         yield f"round {number} of {learning.rounds}: fitted", values
 
 

@@ -51,7 +51,7 @@ class Rollouts(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Learning:
+class LearningSettings:
     """Settings of learning.
 
     The defaults are for one human, `SEVERAL` those for several.
@@ -65,7 +65,7 @@ class Learning:
             first round and in each later one.
         horizon: number of steps of a rollout.
         held: number of these steps with the rung whose gain is learned.
-        noise: largest c of `Driving.starts`.
+        noise: largest c of `RolloutSimulator.starts`.
         states_of_an_episode: number of states that are drawn from an episode.
         stays: probability that a random order keeps its rungs for another step.
         min_likely: least weight with which a state is drawn; at the speed limit outside
@@ -104,12 +104,12 @@ SEVERAL: dict = {
 
 
 @dataclass(frozen=True)
-class Driving:
+class RolloutSimulator:
     """A scenario in which values are learned, and the rule that drives in it.
 
     Attributes:
         batch: draws and simulates the episodes of the scenario.
-        how: settings of learning.
+        settings: of learning.
         rule: rule of the last fit, on the scenario's ladder.
         learned: whether there was a fit; otherwise, the rule is not used.
         devices: that simulate it; None for the first.
@@ -120,7 +120,7 @@ class Driving:
     worst_step: ClassVar[float] = 1e3
 
     batch: Batch
-    how: Learning
+    settings: LearningSettings
     rule: Rule[GameEvidence]
     learned: bool
     devices: Devices | None
@@ -130,14 +130,14 @@ class Driving:
         humans, features].
 
         A start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to
-        `Learning.noise`. It has the mean of the draws, and ``sqrt(c^2 + (1 - c)^2)``
-        times their standard deviation.
+        `LearningSettings.noise`. It has the mean of the draws, and their standard
+        deviation times ``sqrt(c^2 + (1 - c)^2)``.
         """
         drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
         starts, weights = zip(*drawn, strict=True)
         first = np.array(starts, np.float32)[::2]
         second = np.array(starts, np.float32)[1::2]
-        c = random.uniform(1.0, self.how.noise, (count, 1, 1)).astype(np.float32)
+        c = random.uniform(1.0, self.settings.noise, (count, 1, 1)).astype(np.float32)
         return first + c * (second - first), np.array(weights, np.float32)[::2]
 
     def orders(self, random: Random, count: int) -> Schedules:
@@ -152,7 +152,7 @@ class Driving:
         shares = random.dirichlet(np.ones(rungs), count)
         for order, share in zip(orders, shares, strict=True):
             drawn = random.choice(rungs, order.shape, p=share)
-            changes = random.random(steps) > self.how.stays
+            changes = random.random(steps) > self.settings.stays
             # Each step takes the rungs that were drawn at the last change.
             last_change = np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
             order[:] = drawn[last_change]
@@ -177,7 +177,7 @@ class Driving:
             prices: lambdas of the episodes, or one for all.
         """
         loop = replace(self.batch.loop, rule=self.rule)
-        horizon = self.how.horizon
+        horizon = self.settings.horizon
         count, steps, humans = schedules.shape
         lambdas = np.full(count, prices, np.float32)
         robot_weights = np.asarray(loop.game.robot.weights, np.float32)
@@ -219,7 +219,7 @@ class Driving:
         each_more = np.diff(np.concatenate([with_none, with_rungs], axis=2), axis=2)
 
         # An example for each state and human; -inf for models off the ladder.
-        models = list(self.how.costs)
+        models = list(self.settings.costs)
         above = [models.index(name) - 1 for name in self.batch.rungs[1:]]
         gains = np.full((len(states) * most, len(models) - 1), -np.inf)
         gains[:, np.array(above, int)] = np.swapaxes(each_more, 1, 2).reshape(
@@ -248,11 +248,11 @@ class Driving:
             ranks: place of every human among the nearest ones.
             most: largest number of humans that a rung predicts.
         """
-        how = self.how
-        held = min(how.held, how.horizon)
+        horizon = self.settings.horizon
+        held = min(self.settings.held, horizon)
         rungs = range(1, len(self.batch.rungs))
         ways = [(0, 0), *product(rungs, range(1, most + 1))]
-        shape = (len(states), len(ways), how.horizon, self.batch.humans)
+        shape = (len(states), len(ways), horizon, self.batch.humans)
         schedules = np.full(shape, DECIDES if self.learned else 0, np.int32)
         for place, (rung, number) in enumerate(ways):
             schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
@@ -260,8 +260,8 @@ class Driving:
         records = self.drive(
             np.repeat(states, len(ways), axis=0),
             np.repeat(weights, len(ways), axis=0),
-            schedules.reshape(-1, how.horizon, self.batch.humans),
-            prices=float(np.sqrt(np.prod(how.prices))),
+            schedules.reshape(-1, horizon, self.batch.humans),
+            prices=float(np.sqrt(np.prod(self.settings.prices))),
         )
         rewards = np.nan_to_num(records.reward, nan=-self.worst_step)
         rewards = np.clip(rewards, -self.worst_step, None)
@@ -281,7 +281,7 @@ class Driving:
         """
         steps = self.batch.steps
         game = self.batch.loop.game
-        states_of_each = self.how.states_of_an_episode
+        states_of_each = self.settings.states_of_an_episode
         episodes = ceil(count / states_of_each)
         starts, weights = self.starts(random, episodes)
 
@@ -294,7 +294,7 @@ class Driving:
                 later = random.integers(1, steps // 2, episodes)
             takes_over = np.where(random.random(episodes) < 0.5, 0, later)
             orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
-        least, most = np.log(self.how.prices)
+        least, most = np.log(self.settings.prices)
         prices = np.exp(random.uniform(least, most, episodes))
 
         # The states before each step, without episodes that fail.
@@ -309,7 +309,7 @@ class Driving:
         offset = np.abs(robot[..., 1] - float(game.scene.target_lane))
         away = offset > float(game.scene.lane_width) / 2
         likely = away * robot[..., 3] / float(game.robot.speed_limit)
-        likely = np.clip(likely, self.how.min_likely, 1.0)
+        likely = np.clip(likely, self.settings.min_likely, 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
 
         drawn = []

@@ -91,7 +91,7 @@ def validate_file(file: Path) -> dict:
     Raises:
         ValueError: if the file is no reference file.
     """
-    scenario, episodes = read_episodes(file)
+    scenario, episodes = read_reference(file)
     game = build_game(scenario, "released", unit=1.0)
     states = episodes["states"].astype(np.float32)  # [episodes, steps, cars, 4]
     models = episodes["models"]
@@ -131,7 +131,7 @@ def _quantiles(errors: Float[np.ndarray, "*steps"]) -> dict[str, float]:
     return {name: float(np.quantile(errors, share)) for name, share in shares.items()}
 
 
-def read_episodes(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
+def read_reference(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
     """Read and check a reference file; return its scenario and its arrays.
 
     Raises:

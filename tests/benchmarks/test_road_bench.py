@@ -15,7 +15,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.benchmarks.road import RECORDED
 from ms_highway.benchmarks.road.episodes import Block, run_episode, summary
 from ms_highway.benchmarks.road.export import BMW_320I
-from ms_highway.benchmarks.road.measures import Watch, measured
+from ms_highway.benchmarks.road.measures import Watch, motion_figures
 from ms_highway.benchmarks.road.peers import Peer, starts_of
 
 KEYS = {
@@ -66,7 +66,7 @@ def test_acceleration_and_jerk_on_a_circle_are_those_of_turning():
         [radius * np.sin(angle), -radius * np.cos(angle), angle, np.full(50, speed)],
         axis=-1,
     )
-    motion = measured(states, 1 / 15)
+    motion = motion_figures(states, 1 / 15)
     acceleration = speed**2 / radius
     of_centre = motion["max_acceleration_of_centre"]
     jerk = np.sqrt(motion["squared_jerk"])

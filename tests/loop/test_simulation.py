@@ -11,7 +11,7 @@ from ms_highway.envs import ENVIRONMENTS, SCENARIOS, InteractionEnv, add_scenari
 from ms_highway.experiments.batch import make_batch, simulated
 from ms_highway.experiments.comparison import MEASURED, Comparison
 from ms_highway.experiments.runner import episode, make_environment
-from ms_highway.experiments.validation import read_episodes
+from ms_highway.experiments.validation import read_reference
 from ms_highway.game.scenario import PAPER_UNIT
 from ms_highway.loop.batch import simulate
 
@@ -69,7 +69,7 @@ def test_released_semantics_drive_the_logged_episodes_from_the_logged_starts(ref
     batch = make_batch(comparison, "give_way")
     units = np.array([PAPER_UNIT, PAPER_UNIT, 1, PAPER_UNIT])
     for controller in ("naive", "turn"):
-        _, logged = read_episodes(reference / f"give_way__{controller}.npz")
+        _, logged = read_reference(reference / f"give_way__{controller}.npz")
         given = batch.episodes([(controller, seed) for seed in range(10)])
         records = simulate(
             batch.loop,

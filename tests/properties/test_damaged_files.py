@@ -12,7 +12,7 @@ from ms_highway.choice.learned_value import load_values
 from ms_highway.data.learned_reward import load, save, shipped
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.learning import read_rollouts
-from ms_highway.experiments.validation import read_episodes
+from ms_highway.experiments.validation import read_reference
 from ms_highway.recorded.commonroad import read_scenario
 from ms_highway.runtime.files import write_json
 
@@ -58,7 +58,7 @@ def write_runs(path):
 KINDS = {
     "values.npz": (write_values, load_values),
     "reward.json": (write_reward, load),
-    "merger__tom.npz": (write_logs, read_episodes),
+    "merger__tom.npz": (write_logs, read_reference),
     "rollouts.npz": (write_rollouts, read_rollouts),
     "scenario.xml": (write_scenario, read_scenario),
     "settings.json": (

@@ -145,7 +145,7 @@ def run_episode(
         * ``steps``, the number of the environment's steps; ``reward``, its sum over
           them;
         * figures of the motion until the end or a crash, see
-          `ms_highway.benchmarks.road.measures.measured`;
+          `ms_highway.benchmarks.road.measures.motion_figures`;
         * figures of the other vehicles, see
           `ms_highway.benchmarks.road.measures.OthersWatch.figures`;
         * ``late``, the number of plans that were not ready within their budget;

@@ -42,7 +42,7 @@ Lane: TypeAlias = tuple[str, str, int] | None
 """Index of a lane in a road network, or None."""
 
 
-def measured(
+def motion_figures(
     states: Float[np.ndarray, "frames 4"], time_step: float, crashed: bool = False
 ) -> dict[str, float]:
     """Return figures of a car's motion by name.
@@ -126,8 +126,8 @@ class Watch:
         env.road.step = watched
 
     def motion(self) -> dict[str, float]:
-        """Return the figures of `measured` until now, or until the ego crashed."""
-        return measured(np.array(self._states), self._time_step, self.crashed)
+        """Return the ego's `motion_figures` until now, or until it crashed."""
+        return motion_figures(np.array(self._states), self._time_step, self.crashed)
 
     def _see(self) -> None:
         """Look at the ego in this frame."""
