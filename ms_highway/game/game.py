@@ -1,7 +1,7 @@
 """Define the game that a robot and humans play, and the rewards of their plans.
 
 Throughout the core, controls of plans are in units of the planner's ``control_scale``
-("scaled"). Only drivers convert them to curvatures and accelerations.
+("scaled"). They become curvatures and accelerations only where a plan is executed.
 """
 
 from collections.abc import Callable
