@@ -1,5 +1,5 @@
-"""Compare controllers over many episodes, live or in batches; search for the best
-choices of models, and learn them.
+"""Compare controllers over many episodes, live or in batches.
 
-Imports `ms_highway.irl` and the packages below it.
+Also search for the best choices of models, and learn them. Imports `ms_highway.irl` and
+the packages below it.
 """

@@ -126,8 +126,7 @@ class RolloutSimulator:
     devices: Devices | None
 
     def starts(self, random: Random, count: int) -> tuple[Starts, DrawnWeights]:
-        """Draw starts [count, cars, 4] and the weights of the humans' rewards [count,
-        humans, features].
+        """Draw starts and the weights of the humans' rewards.
 
         A start is ``a + c (b - a)`` with two draws a and b, and with c drawn from 1 to
         `LearningSettings.noise`. It has the mean of the draws, and their standard

@@ -229,9 +229,7 @@ class OthersWatch:
                 self._arrived.add(id(vehicle))
 
     def _touching(self, ego: Vehicle, others: list[Vehicle]) -> tuple[bool, bool]:
-        """Return whether the ego collides in this frame, and whether others do without
-        it.
-        """
+        """Return whether the ego collides now, and whether others do without it."""
         # What highway-env says, without whom the ego has collided with.
         crashed = [vehicle for vehicle in others if vehicle.crashed]
         if ego.crashed:
