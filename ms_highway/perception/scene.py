@@ -112,7 +112,7 @@ class RoadScene:
         return self.owners >= 0
 
     @property
-    def askew(self) -> Float[Array, "traffic 1"]:
+    def body_angle(self) -> Float[Array, "traffic 1"]:
         """Constant part of the angle of each of the others to its path.
 
         It is 0 for cars that drive.
@@ -120,10 +120,12 @@ class RoadScene:
         return jnp.where(self.moving, 0.0, self.states[:, 2])[:, None]
 
     @property
-    def reach(self) -> Sizes:
+    def contact(self) -> Sizes:
         """Distance of centres at which the robot and each of the others touch [m].
 
         Longitudinal and lateral, [traffic, 2].
         """
-        turned = jnp.abs(jnp.sin(self.askew)) * self.sizes[:, ::-1]
-        return (self.size + jnp.abs(jnp.cos(self.askew)) * self.sizes + turned) / 2
+        # The extent of a turned body along and across its path.
+        by_sine = jnp.abs(jnp.sin(self.body_angle)) * self.sizes[:, ::-1]
+        by_cosine = jnp.abs(jnp.cos(self.body_angle)) * self.sizes
+        return (self.size + by_cosine + by_sine) / 2

@@ -184,7 +184,7 @@ def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traf
 
     # The gap to the robot, where it drives ahead in the same lane.
     distance = s + scene.size[0] / 2 - traffic.s
-    in_lane = jnp.abs(traffic.d - d) < scene.reach[:, 1] + PASSING_GAP
+    in_lane = jnp.abs(traffic.d - d) < scene.contact[:, 1] + PASSING_GAP
     follows_robot = (distance > 0) & in_lane & (traffic.cosine > COSINES.follows)
     gap_to_robot = jnp.where(follows_robot, distance, FREE_GAP)
     behind_robot = HIGHWAY_ENV_IDM.acceleration(

@@ -39,7 +39,9 @@ class ValueGrid:
     lanes_beside: int = 2
     """Number of lanes on each side of the robot's lane."""
     places: int = 144
-    """Number of places: twelve seconds of way at the desired speed."""
+    """Number of places: the way of twelve seconds at the desired speed, four of the
+    plan and eight after it.
+    """
     speeds: int = 13
     """Number of speeds, from 0 to the desired speed."""
     seconds: int = 8
@@ -175,7 +177,7 @@ def speed_lost(
     lane_centre = lane_of(scene.lanes, lanes, middle)[:, None]
     traffic = _traffic_after(situation, simulated, lane_centre)
     distance = traffic.s - middle[:, None]
-    closable = jnp.maximum(distance - scene.reach[:, 0] - CLOSE_UP.gap, 0.0)
+    closable = jnp.maximum(distance - scene.contact[:, 0] - CLOSE_UP.gap, 0.0)
     allowed = jnp.where(
         traffic.in_lane[:, 0] & (distance > 0),
         traffic.speed + closable / CLOSE_UP.seconds,
@@ -190,7 +192,14 @@ def _values(
 ) -> Table:
     """Return the value of each lane, place and speed at the end of a plan.
 
-    It is minus the loss of speed still to come [steps of speed].
+    It is minus the loss of speed still to come [steps of speed]. In each second, the
+    robot first may change its lane l, then changes its speed v, then drives on from
+    place p. The value V of second t follows from that of the next second::
+
+        Q_t(l, p, v) = max over v' from v - slowing to v + speeding of
+            V_(t+1)(l, p + v', v') - blocked_(t+1)(l, p + v', v') - loss(p + v', v')
+        V_t(l, p, v) = the highest of Q_t(l, p, v) and, in the lanes l' beside it,
+            Q_t(l', p, v) - blocked_t(l', p, v) - lane_change
     """
     places = speed_step * jnp.arange(VALUE_GRID.places)  # [m]
 
@@ -207,9 +216,9 @@ def _values(
             costs: of being in the way of others now and a second later.
         """
         blocked_now, blocked_later = costs
-        value = _after_driving(value - blocked_later - loss)
-        value = _after_best_speed_change(value)
-        return _after_best_lane_change(value, value - blocked_now), None
+        at_new_speed = _after_driving(value - blocked_later - loss)
+        in_lane = _after_best_speed_change(at_new_speed)
+        return _after_best_lane_change(in_lane, in_lane - blocked_now), None
 
     # Go backwards from the last second, after which nothing counts.
     at_end = jnp.zeros(blocked.shape[1:])
@@ -326,7 +335,7 @@ def _next_car(
     One table serves all plans, so others are where they are in most of the plans.
     """
     scene = situation.scene
-    contact = scene.reach[:, 0]
+    contact = scene.contact[:, 0]
 
     # Others at the end of a plan, as a median over plans: [traffic] and
     # [lanes, traffic].

@@ -154,8 +154,8 @@ def _lateral_goal(
     """
     scene = situation.scene
     s, d, _, speed = car
-    contact_length = scene.reach[:, 0]
-    lateral_gap = scene.reach[:, 1] + PASSING_GAP
+    contact_length = scene.contact[:, 0]
+    lateral_gap = scene.contact[:, 1] + PASSING_GAP
 
     # The gap that the plan needs to cars in its target lane.
     overtakes = ~plan.follows & (distance > 0)
@@ -252,13 +252,13 @@ def _behind_others(
 
     # Cars ahead between the robot and its target. A plan that passes an obstacle
     # ignores obstacles; other plans leave room before them to turn round them.
-    lateral_gap = scene.reach[:, 1] + PASSING_GAP
+    lateral_gap = scene.contact[:, 1] + PASSING_GAP
     leftmost = jnp.minimum(d, target) - lateral_gap
     rightmost = jnp.maximum(d, target) + lateral_gap
     in_way = (traffic.d > leftmost) & (traffic.d < rightmost)
     in_way = in_way & (scene.moving | (plan.side == 0))
     turning_room = OBSTACLES.turning_room * (~scene.moving & (plan.lane == 1))
-    contact = scene.reach[:, 0] + turning_room
+    contact = scene.contact[:, 0] + turning_room
     counts = (distance > 0) & in_way & scene.present
     gap = jnp.where(counts, distance - contact, FREE_GAP)
 

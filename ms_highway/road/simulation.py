@@ -111,7 +111,7 @@ def simulate(
     x, y, path_heading = jax.vmap(Curve.place, (0, -2, 0), -2)(
         scene.paths, traffic.along, across
     )
-    heading = path_heading + scene.askew - _slip_angles(scene, traffic.along)
+    heading = path_heading + scene.body_angle - _slip_angles(scene, traffic.along)
     world = jnp.stack([x, y, heading, traffic.speed], axis=-2)
     return SimulatedPlans(records.state, records.control, centre, world, traffic)
 

@@ -64,8 +64,8 @@ def _missing_within(situation: Situation, simulated: SimulatedPlans) -> EachCar:
     # Which cars the robot follows in each step. The middle of the robot is half a
     # length ahead of its rear axle.
     distance = traffic.s - s - scene.size[0] / 2
-    contact = scene.reach[:, 0]
-    beside = scene.reach[:, 1] + STOPPING_ROOM.lateral_clearance
+    contact = scene.contact[:, 0]
+    beside = scene.contact[:, 1] + STOPPING_ROOM.lateral_clearance
     follows = (
         (distance > 0)
         & (jnp.abs(traffic.d - d) < beside[:, None])
@@ -98,7 +98,7 @@ def _missing_after(
 
     # The strip of road that the robot passes while it steers to its target, wider for
     # cars that may change to the next lane.
-    beside = scene.reach[:, 1] + STOPPING_ROOM.lateral_clearance
+    beside = scene.contact[:, 1] + STOPPING_ROOM.lateral_clearance
     may_change = jnp.where(
         _may_change_lanes(situation, simulated), planning.lane_width, 0.0
     )
@@ -120,7 +120,7 @@ def _missing_after(
         + STOPPING_ROOM.reaction_time * speed
         + closing_speed**2 / (2 * braking)
     )
-    missing = needed - end.s + middle + scene.reach[:, 0]
+    missing = needed - end.s + middle + scene.contact[:, 0]
     return jnp.where(counts, jnp.maximum(missing, 0.0), 0.0)
 
 

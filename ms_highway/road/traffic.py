@@ -381,7 +381,7 @@ def _corners(scene: RoadScene) -> tuple[Numbers, Numbers]:
     ahead, sideways = jnp.moveaxis(scene.sizes[:, None, None] / 2 * CORNERS, -1, 0)
     path_heading = path_heading[..., None]
     corner_x, corner_y = rotated(
-        ahead, sideways, -path_heading - scene.askew[..., None]
+        ahead, sideways, -path_heading - scene.body_angle[..., None]
     )
 
     # The corners on the route, as far as it is in sight.
