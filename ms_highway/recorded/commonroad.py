@@ -201,10 +201,14 @@ def _check_header(root: Element) -> None:
             f"<{root.tag}> of version {version!r} is no <commonRoad> of version"
             f" {FORMAT_2020A.version} with a benchmarkID"
         )
-    step = float(root.get("timeStepSize", "nan"))
+    written = root.get("timeStepSize", "nan")
+    try:
+        step = float(written)
+    except ValueError:
+        step = np.nan
     if not np.isclose(step, TIME_STEP):
         raise ValueError(
-            f"timeStepSize of <commonRoad> is {step:.40} s; it must be {TIME_STEP} s"
+            f"timeStepSize of <commonRoad> is {written:.40} s; it must be {TIME_STEP} s"
         )
 
 

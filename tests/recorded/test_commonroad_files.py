@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 
 import gymnasium as gym
 import numpy as np
+import pytest
 from commonroad.common.reader.file_reader_xml import XMLFileReader
 from recordings import (
     RECTANGLE,
@@ -152,3 +153,12 @@ def test_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
             wrong[seed] = repr(error)
     assert not wrong
     assert 40 < survived < 160
+
+
+def test_a_time_step_that_is_no_number_is_refused_by_name(tmp_path):
+    path = tmp_path / "damaged.xml"
+    path.write_text(scenario().replace('timeStepSize="0.1"', 'timeStepSize="often"'))
+    with pytest.raises(
+        ValueError, match=r"damaged\.xml .*timeStepSize of <commonRoad>"
+    ):
+        read_scenario(path)
