@@ -1,5 +1,4 @@
-"""Optimise functions of controls and know no roads: second derivatives, solvers, step
-sizes.
+"""Optimise functions of controls: second derivatives, solvers, step sizes.
 
 Imports `ms_highway.runtime` only.
 """

@@ -156,9 +156,7 @@ class Newton:
     smooth: ClassVar[bool] = True
 
     def most_steps(self, responds: bool) -> int:
-        """Return the largest number of steps of a plan to which humans respond or do
-        not.
-        """
+        """Return the largest number of steps, with humans who respond or without."""
         return self.joint_steps if responds else self.steps
 
     def with_steps(self, number: int, longest: Scalar) -> "Newton":
@@ -166,9 +164,7 @@ class Newton:
         return replace(self, steps=number, joint_steps=number)
 
     def of_human(self) -> "Newton":
-        """Return the solver for humans, without ease and without continuing the last
-        plan.
-        """
+        """Return the solver for humans, which neither eases nor continues plans."""
         return replace(self, continues=False, ease=0.0)
 
     def repeat(

@@ -68,8 +68,9 @@ class HumanModel:
             object.__setattr__(self, "name", type(self).name + effort)
 
     def solver(self, game: Game) -> Solver:
-        """Return the solver of plans under this model: the planner's, in the model's
-        number of steps.
+        """Return the solver of plans under this model.
+
+        It is the planner's, in the model's number of steps.
 
         A model of one's own may return the planner's solver with other steps:
         ``iterations`` and ``step_size`` of an `ms_highway.numerics.solvers.Ascent`,
@@ -83,8 +84,7 @@ class HumanModel:
         return usual.with_steps(self.steps, longest)
 
     def start(self, game: Game, state: State, last: Plan) -> Plan:
-        """Return the scaled plan from which plans under this model start, of robot and
-        human.
+        """Return the scaled plan from which plans under this model start.
 
         Only models that respond have a start of their own. Among several humans, the
         robot starts as the most expensive of these models in use wants.

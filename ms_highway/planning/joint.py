@@ -25,6 +25,7 @@ linear system per human, see `ms_highway.planning.responses`.
 """
 
 from functools import partial
+from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
@@ -148,51 +149,88 @@ def _gradient_step(
     solver = game.planner.solver
     assert isinstance(solver, Ascent)
     drive = partial(move, game, state[0])
-    robot_path = drive(plan.robot)
-    slope_in_robot, slopes_in_others = game.payoff.slopes(robot_path, others)
+    path = drive(plan.robot)
+    slope_in_robot, slopes_in_others = game.payoff.slopes(path, others)
 
+    # The humans' own steps, and what the robot earns through their responses.
     def respond(
         human: Index, now: tuple[Trajectory, jax.Array, Trajectories]
     ) -> tuple[Trajectory, jax.Array, Trajectories]:
-        robot_slope, humans, paths = now
-        own_game = swap_roles(game, human)
-        car = state[1 + human]
-        own_drive = partial(move, own_game, car)
-
-        # The human's reward to second order in its controls.
-        around = trajectories_around(human, robot_path, others)
-        derivatives = own_game.payoff.second_order(others[human], around)
-        expansion = second_order_expansion(
-            own_drive,
-            plan.humans[human],
-            derivatives.slope,
-            derivatives.own,
-            partial(discomfort, own_game, car),
+        slope, humans, paths = now
+        around = trajectories_around(human, path, others)
+        answer = _gradient_response(
+            interaction, human, plan, others[human], around, slopes_in_others[human]
         )
-
-        # What the robot earns through the human's response to its plan.
-        wish = in_controls(slopes_in_others[human], expansion.jacobian)
-        answer = response(game.influence, expansion.hessian, wish)
-        through = slope_through(expansion.jacobian, answer, derivatives.partner)
-
-        # The human's own step.
-        step_size = responders.step_size(solver, human)
-        climbed = plan.humans[human] + step_size * expansion.gradient.reshape(-1, 2)
-        controls = bounded(own_game, car, climbed)
         return (
-            robot_slope + through,
-            humans.at[human].set(controls),
-            paths.at[human].set(own_drive(controls)),
+            slope + answer.robot_slope,
+            humans.at[human].set(answer.controls),
+            paths.at[human].set(answer.path),
         )
 
     before = (slope_in_robot, jnp.asarray(plan.humans), others)
-    robot_slope, humans, paths = responders.fold(
-        responders.count(step), respond, before
-    )
+    slope, humans, paths = responders.fold(responders.count(step), respond, before)
 
     # The robot's step, along its reward and what it earns through the humans.
     jacobian = trajectory_jacobian(drive, plan.robot)
-    uphill = in_controls(robot_slope, jacobian).reshape(-1, 2)
+    uphill = in_controls(slope, jacobian).reshape(-1, 2)
     gradient = uphill - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
     climbed = plan.robot + responders.robot_step_size(solver) * gradient
     return Plan(bounded(game, state[0], climbed), humans), paths
+
+
+class _GradientResponse(NamedTuple):
+    """A human's part in a gradient step.
+
+    Attributes:
+        robot_slope: of R_R in the robot's trajectory, through the human's response.
+        controls: of the human, after its own step.
+        path: trajectory of the human under them.
+    """
+
+    robot_slope: Trajectory
+    controls: Controls
+    path: Trajectory
+
+
+def _gradient_response(
+    interaction: Interaction,
+    human: Index,
+    plan: Plan,
+    path: Trajectory,
+    around: Trajectories,
+    wish: Trajectory,
+) -> _GradientResponse:
+    """Take a human's own gradient step, and see what the robot earns through it.
+
+    Args:
+        interaction: the situation, and the humans who respond.
+        human: its number.
+        plan: before the step.
+        path: trajectory of the human under it.
+        around: trajectories of all others under it, the robot's first.
+        wish: dR_R/ds_i, what the robot wishes of the human's trajectory.
+    """
+    solver = interaction.game.planner.solver
+    assert isinstance(solver, Ascent)
+    own_game = swap_roles(interaction.game, human)
+    car = interaction.state[1 + human]
+    drive = partial(move, own_game, car)
+    controls = plan.humans[human]
+
+    # The human's reward to second order in its controls.
+    derivatives = own_game.payoff.second_order(path, around)
+    cost = partial(discomfort, own_game, car)
+    expansion = second_order_expansion(
+        drive, controls, derivatives.slope, derivatives.own, cost
+    )
+
+    # What the robot earns through the human's response to its plan.
+    wanted = in_controls(wish, expansion.jacobian)
+    answer = response(interaction.game.influence, expansion.hessian, wanted)
+    robot_slope = slope_through(expansion.jacobian, answer, derivatives.partner)
+
+    # The human's own step.
+    step_size = interaction.responders.step_size(solver, human)
+    climbed = controls + step_size * expansion.gradient.reshape(-1, 2)
+    after = bounded(own_game, car, climbed)
+    return _GradientResponse(robot_slope, after, drive(after))

@@ -42,8 +42,9 @@ keep_apart("a human model", lambda: MODELS)
 
 
 def register(model: HumanModel, before: str | None = None) -> None:
-    """Register a human model by its name, for configurations and commands of this
-    process.
+    """Register a human model by its name.
+
+    Configurations and commands of this process then know it.
 
     Args:
         model: hashable; replaces a model of the same name.
@@ -83,7 +84,8 @@ def _check_model(model: HumanModel) -> None:
             " has a name"
         )
         raise ValueError(f"{model!r} is no model; {remedy}")
-    if problem := _problem_of_methods(model):
+    problem = _problem_of_methods(model)
+    if problem is not None:
         raise ValueError(f"human model {model.name!r} {problem}")
     try:
         hash(model)
