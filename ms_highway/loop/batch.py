@@ -294,16 +294,16 @@ def _plan(
     rungs = choice.rungs
     start = plan_start(loop.models, game, state, rungs, last)
 
-    def planned(models: tuple[HumanModel, ...], used: Rungs) -> Solution:
+    def plan_by(models: tuple[HumanModel, ...], used: Rungs) -> Solution:
         return plan_for(models, game, state, used, start)
 
     if game.number > 1:
-        solution = planned(loop.models, rungs)
+        solution = plan_by(loop.models, rungs)
     else:
         zeros = jnp.zeros((game.planner.horizon, 2))
         solution = Solution(Plan(zeros, zeros[None]), jnp.int32(0), jnp.bool(False))
         for rung, model in enumerate(loop.models):
-            by_model = partial(planned, (model,), jnp.zeros_like(rungs))
+            by_model = partial(plan_by, (model,), jnp.zeros_like(rungs))
             solution = _where_needed(loop, rungs[0] == rung, by_model, solution)
 
     plan = solution.plan
@@ -317,8 +317,8 @@ def _steer(
     humans = loop.game.number
     first_rungs = jnp.zeros(humans, jnp.int32)
     gains = jnp.full((humans, len(loop.rule.ladder)), NOT_ESTIMATED, jnp.float32)
-    planned = jnp.int32(status_number("planned"))
-    records = Records(first_rungs, first_rungs, planned, gains=gains)
+    status = jnp.int32(status_number("planned"))
+    records = Records(first_rungs, first_rungs, status, gains=gains)
     return _move_world(loop, episode, carry, control, records)
 
 
@@ -388,9 +388,9 @@ def _drive_humans(
 
         # The control of its plan, or of what takes its place.
         plan = plan_alone(view, seen).plan
-        planned = NewPlan(plan, plan, 0, False, details=None)
+        new_plan = NewPlan(plan, plan, 0, False, details=None)
         driven, fallback, _ = follow(
-            planned, last.rungs, last, seen, partial(brake, view)
+            new_plan, last.rungs, last, seen, partial(brake, view)
         )
         control = driven.plan.robot[0] * loop.game.planner.control_scale
 

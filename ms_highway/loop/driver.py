@@ -247,8 +247,8 @@ class Driver:
             status=STATUSES[result.status],
             belief=choice.model_probabilities if self.infers_models else None,
             planned=tuple(names[rung] for rung in choice.rungs),
-            plan_steps=int(result.planned.steps),
-            converged=bool(result.planned.converged),
+            plan_steps=int(result.new_plan.steps),
+            converged=bool(result.new_plan.converged),
         )
 
     # Parts of a step, which are compiled and timed

@@ -184,13 +184,19 @@ class StepResult(NamedTuple, Generic[WarmStart, Observation, Details]):
             brakes, the rungs are those of the step's own plan.
         status: number of its status, see `STATUSES`.
         choice: the models of the step's own plan.
-        planned: the step's own plan, whether it drives or not.
+        new_plan: the step's own plan, whether it drives or not.
     """
 
     driven: RemainingPlan[WarmStart]
     status: Index
     choice: Choice[Observation]
-    planned: NewPlan[WarmStart, Details]
+    new_plan: NewPlan[WarmStart, Details]
+
+
+Brake: TypeAlias = Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]]
+"""Put braking in place of the robot's controls in what is left of a plan, given the
+cars now.
+"""
 
 
 class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
@@ -201,8 +207,7 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
             carries and the cars now.
         plan: plans among the cars now, with a choice, perhaps starting from the plan to
             fall back on.
-        brake: puts braking in place of the robot's controls in what is left of a plan,
-            given the cars now.
+        brake: brakes, where nothing is left of the last plan.
         is_late: whether the plan, which was just made, is too late for this step; None
             if no plan ever is.
         escape: says what to execute instead of a control, given the cars now, if that
@@ -214,7 +219,7 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
         [Cars, Choice[Observation], RemainingPlan[WarmStart]],
         NewPlan[WarmStart, Details],
     ]
-    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]]
+    brake: Brake[WarmStart, Cars]
     is_late: Callable[[], bool] | None = None
     escape: Callable[[Cars, Control], Escape] | None = None
 
@@ -253,13 +258,13 @@ def step(
     choice = parts.choose(carry, now)
 
     # Plan with these models.
-    planned = parts.plan(now, choice, carry.fallback)
+    new_plan = parts.plan(now, choice, carry.fallback)
     late = parts.is_late is not None and parts.is_late()
 
     # Follow the plan. If it is not finite or late, follow the last one; where that has
     # ended, brake.
     driven, fallback, status = follow(
-        planned, choice.rungs, carry.fallback, now, parts.brake, late
+        new_plan, choice.rungs, carry.fallback, now, parts.brake, late
     )
 
     # If the control leaves no way out among cars that keep their velocity, escape.
@@ -281,7 +286,7 @@ def step(
     )
 
     next_carry = Carry(memory, outcome, choice.model_probabilities, fallback)
-    return next_carry, StepResult(driven, status, choice, planned)
+    return next_carry, StepResult(driven, status, choice, new_plan)
 
 
 Result = TypeVar("Result")
@@ -329,17 +334,17 @@ def no_plan(horizon: int, humans: int) -> RemainingPlan[Plan]:
 
 
 def follow(
-    planned: NewPlan[WarmStart, Details],
+    new_plan: NewPlan[WarmStart, Details],
     rungs: Rungs,
     last: RemainingPlan[WarmStart],
     now: Cars,
-    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]],
+    brake: Brake[WarmStart, Cars],
     late: bool = False,
 ) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
     """Follow a plan or, if it is late or not finite, the last one, or brake.
 
     Args:
-        planned: of this step.
+        new_plan: of this step.
         rungs: of every human in it.
         last: plan to fall back on in this step.
         now: all cars.
@@ -351,12 +356,12 @@ def follow(
         What drives, the plan to fall back on in the next step, and the number of the
         status.
     """
-    plan = planned.plan
+    plan = new_plan.plan
     xp = plan.robot.__array_namespace__()  # of NumPy or JAX
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
     def new() -> tuple[RemainingPlan[WarmStart], Index]:
-        whole = RemainingPlan(plan, len(plan.robot), rungs, planned.warm_start)
+        whole = RemainingPlan(plan, len(plan.robot), rungs, new_plan.warm_start)
         return whole, status_number("planned")
 
     def old() -> tuple[RemainingPlan[WarmStart], Index]:
@@ -377,7 +382,7 @@ def fall_back(
     last: RemainingPlan[WarmStart],
     rungs: Rungs,
     now: Cars,
-    brake: Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]],
+    brake: Brake[WarmStart, Cars],
 ) -> tuple[RemainingPlan[WarmStart], Index]:
     """Go on with the last plan, or brake where nothing is left of it.
 

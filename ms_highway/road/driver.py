@@ -200,7 +200,7 @@ class RoadDriver:
             result: what happened.
             compile_seconds: seconds of compilation.
         """
-        plan = result.planned.details
+        plan = result.new_plan.details
         look = result.choice.observation
         controls = result.driven.plan.robot
         is_finite = STATUSES[result.status] in ("planned", "late")
