@@ -258,7 +258,7 @@ def move_all(
 
 
 def with_scripted(
-    game: Game, state: State, players: Trajectories
+    game: Game, state: State, players: Float[jax.Array, "players fields steps"]
 ) -> Float[jax.Array, "all_cars fields steps"]:
     """Return the trajectories of some cars, then those of the scripted cars after them.
 

@@ -1,11 +1,14 @@
-"""Compare planners and agents of your own with the package's controllers, in the same table.
+r"""Compare planners and agents of your own with the package's, in one table.
 
-A planner is a function of the robot's game and the state of all cars in SI units; an agent is a function of the
-observation, or has the method ``predict`` of stable-baselines3. Run it, or make both known to any command::
+A planner is a function of the robot's game and the state of all cars in SI units; an
+agent is a function of the observation, or has the method ``predict`` of
+stable-baselines3. Run it, or make both known to any command::
 
     python notebooks/examples/agents.py
-    ms-highway --import notebooks.examples.agents compare merger-v1 --controllers merges coasts --out results/own
-    ms-highway --import notebooks.examples.agents video merger-v1 --controller merges --out results/merges.gif
+    ms-highway --import notebooks.examples.agents compare merger-v1 \
+      --controllers merges coasts --out results/own
+    ms-highway --import notebooks.examples.agents video merger-v1 \
+      --controller merges --out results/merges.gif
 
 Prints::
 

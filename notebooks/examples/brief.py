@@ -1,10 +1,13 @@
-r"""Add a human model of your own: theory of mind in 8 gradient steps instead of 20, at 40 % of the cost.
+r"""Add a human model of your own: theory of mind in 8 gradient steps.
 
-A model is a rung of the ladder: a frozen dataclass with a name that predicts the human, or ``responds`` in the steps of
-its own `solver` (see `ms_highway.HumanModel`), alone and among several humans. Run it, or let a command know it::
+It takes 8 steps instead of 20, at 40 % of the cost. A model is a rung of the ladder: a
+frozen dataclass with a name that predicts the human, or ``responds`` in the steps of
+its own `solver` (see `ms_highway.HumanModel`), alone and among several humans. Run it,
+or let a command know it::
 
     python notebooks/examples/brief.py
-    ms-highway --import notebooks.examples.brief compare merger give_way --set ladder=naive,brief \
+    ms-highway --import notebooks.examples.brief compare merger give_way \
+      --set ladder=naive,brief \
       --set costs=naive=0.09,turn=0.17,brief=0.148,tom=0.37 --out results/brief \
       --controllers naive brief tom switching:0.1 switching:0.001
 

@@ -1,4 +1,4 @@
-"""Drive one episode of Merger and print, step by step, which human model the robot plans with and why.
+"""Drive an episode of Merger; print which model the robot plans with, and why.
 
 Run::
 

@@ -1,10 +1,12 @@
-"""Let the human of Merger drive for a feature of your own: to be alone on the road.
+r"""Let the human of Merger drive for a feature of your own: to be alone on the road.
 
-A feature is a function of one moment that any reward may weigh: that of a scenario, `human_reward`, or a learned one
-(`ms-highway irl fit --learn`). Run it, or learn its weight from recordings in a directory::
+A feature is a function of one moment that any reward may weigh: that of a scenario,
+`human_reward`, or a learned one (`ms-highway irl fit --learn`). Run it, or learn its
+weight from recordings in a directory::
 
     python notebooks/examples/feature.py
-    ms-highway --import notebooks.examples.feature irl fit --data us101 --learn speed alone --out theta.json
+    ms-highway --import notebooks.examples.feature irl fit --data us101 \
+      --learn speed alone --out theta.json
 """
 
 import gymnasium as gym

@@ -1,7 +1,8 @@
-"""Put humans on a stock highway-env road: commuters, who drive like the drivers recorded on US-101.
+"""Put humans on a stock highway-env road: commuters.
 
-Every commuter has a desired speed, a headway and a patience of its own. Commuters change lanes as highway-env's drivers
-do, and give way where ways meet. Run::
+They drive like the drivers recorded on US-101. Every commuter has a desired speed, a
+headway and a patience of its own. Commuters change lanes as highway-env's drivers do,
+and give way where ways meet. Run::
 
     python notebooks/examples/humans_in_highway.py
 """

@@ -1,7 +1,9 @@
-"""Record what the robot does in a stock scene as a data set of Minari, and clone it with a network.
+"""Record a robot in a stock scene as a data set of Minari, and clone it.
 
-``info["road"]["action"]`` is the action of the environment's space that does what the robot did, NaN where none does
-(here are none); the action given to ``step`` is ignored. Needs the extras ``demonstrations`` and ``learning``. Run::
+The clone is a network. ``info["road"]["action"]`` is the action of the environment's
+space that does what the robot did, NaN where none does (here are none); the action
+given to ``step`` is ignored. Needs the extras ``demonstrations`` and ``learning``.
+Run::
 
     python notebooks/examples/imitate.py
 """

@@ -1,19 +1,25 @@
-"""Learn which human model is worth its time, with PPO of stable-baselines3, and compare with the package's choices.
+r"""Learn with PPO which human model is worth its time.
 
-The agent's action is the model of every human in the coming step: Discrete with one human, MultiDiscrete with several.
-Its reward is the robot's less the price of the plan, ``r_R - lambda T(M)``: the paper's meta-MDP. It learns in many
-environments at once, simulated in JAX. The agent is saved; its file then stands for a controller, here and in every
+PPO is that of stable-baselines3; the result is compared with the package's choices. The
+agent's action is the model of every human in the coming step: Discrete with one human,
+MultiDiscrete with several. Its reward is the robot's less the price of the plan, ``r_R
+- lambda T(M)``: the paper's meta-MDP. It learns in many environments at once, simulated
+in JAX. The agent is saved; its file then stands for a controller, here and in every
 command. Needs stable-baselines3::
 
     pip install stable-baselines3
     python notebooks/examples/learn_to_choose.py merger-v1
-    python notebooks/examples/learn_to_choose.py merger-v1 --price 10 --set costs=published
-    python notebooks/examples/learn_to_choose.py dense_merge --set humans=3 --steps 10000
-    ms-highway compare merger-v1 --controllers results/ppo.zip learned:1 tom --out results/ppo
+    python notebooks/examples/learn_to_choose.py merger-v1 --price 10 \
+      --set costs=published
+    python notebooks/examples/learn_to_choose.py dense_merge --set humans=3 \
+      --steps 10000
+    ms-highway compare merger-v1 --controllers results/ppo.zip learned:1 tom \
+      --out results/ppo
 
-Prints a row for the agent and every other choice, from starts that the agent has not seen: reward per step, the same
-less lambda T, share of steps planned with each model, and by how much the agent is ahead, with a 90 % interval.
-``--steps 0`` judges an agent that was saved before.
+Prints a row for the agent and every other choice, from starts that the agent has not
+seen: reward per step, the same less lambda T, share of steps planned with each model,
+and by how much the agent is ahead, with a 90 % interval. ``--steps 0`` judges an agent
+that was saved before.
 """
 
 import argparse

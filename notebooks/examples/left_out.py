@@ -1,8 +1,9 @@
-r"""Add scenarios that no values of computation were learned on, to see what the shipped values are worth there.
+r"""Add scenarios that no values of computation were learned on.
 
-*Squeeze*: on three lanes, robot and human both want into the left one, between two scripted cars. *Works*: the human's
-lane is closed by cones, and the robot beside it is rewarded for letting it in. A third is *Zipper*, from the example
-of that name::
+So one sees what the shipped values are worth there. *Squeeze*: on three lanes, robot
+and human both want into the left one, between two scripted cars. *Works*: the human's
+lane is closed by cones, and the robot beside it is rewarded for letting it in. A third
+is *Zipper*, from the example of that name::
 
     ms-highway --import notebooks.examples.zipper --import notebooks.examples.left_out \
         frontier zipper squeeze works --controllers learned

@@ -1,11 +1,14 @@
-"""Let a human drive as you say, and let the robot predict it by a model of yours.
+r"""Let a human drive as you say, and let the robot predict it by a model of yours.
 
-Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is beside it or just ahead; the
-model knows that. Run it, or make both known to any command::
+Both are pure functions in SI units. The human brakes by 2 m/s^2 whenever the robot is
+beside it or just ahead; the model knows that. Run it, or make both known to any
+command::
 
     python notebooks/examples/own_human.py
-    ms-highway --import notebooks.examples.own_human compare merger-v1 --set human_driver=polite \
-      --set ladder=naive,expects_politeness,tom --set costs=naive=0.0007,expects_politeness=0.0007,tom=0.0011 \
+    ms-highway --import notebooks.examples.own_human compare merger-v1 \
+      --set human_driver=polite \
+      --set ladder=naive,expects_politeness,tom \
+      --set costs=naive=0.0007,expects_politeness=0.0007,tom=0.0011 \
       --controllers naive expects_politeness tom --out results/polite
 
 Theory of mind counts on a response that does not come. Prints::

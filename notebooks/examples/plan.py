@@ -1,8 +1,9 @@
-"""Plan one situation under each human model and print the first controls, and what the human is expected to do.
+"""Plan one situation under each human model, and print the first controls.
 
-`ms_highway.plan` returns the robot's controls and those of every human that it counts on, here one: a row (curvature
-[1/m], acceleration before friction [m/s^2], of which 4 keep 20 m/s) for each of 5 steps of 0.1 s, as NumPy arrays. The
-game and the state may be an environment's, or your own. Run::
+It also prints what the human is expected to do. `ms_highway.plan` returns the robot's
+controls and those of every human that it counts on, here one: a row (curvature [1/m],
+acceleration before friction [m/s^2], of which 4 keep 20 m/s) for each of 5 steps of 0.1
+s, as NumPy arrays. The game and the state may be an environment's, or your own. Run::
 
     python notebooks/examples/plan.py
 """

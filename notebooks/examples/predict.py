@@ -1,9 +1,11 @@
-"""Predict all cars of a moment, with the drivers learned on US-101, highway-env's IDM and constant velocity.
+"""Predict all cars of a moment in three ways.
 
-`ms_highway.predict` takes the cars and lanes of one moment of a straight road, and their past where it is known. It
-returns, every 0.1 s, the modes of every car (it keeps its lane, changes to the left, changes to the right), with
-weights, means and covariances, and mean and covariance over all modes. Then the traffic drives on, and each prediction
-is compared with where the cars are 3 s later. Run::
+These are the drivers learned on US-101, highway-env's IDM and constant velocity.
+`ms_highway.predict` takes the cars and lanes of one moment of a straight road, and
+their past where it is known. It returns, every 0.1 s, the modes of every car (it keeps
+its lane, changes to the left, changes to the right), with weights, means and
+covariances, and mean and covariance over all modes. Then the traffic drives on, and
+each prediction is compared with where the cars are 3 s later. Run::
 
     python notebooks/examples/predict.py
 """

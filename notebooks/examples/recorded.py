@@ -1,8 +1,9 @@
 """Drive in recorded traffic, among learned drivers who react, and record a video of it.
 
-The recording of US-101 comes with the package; ``config["recording"]`` takes the file of any other CommonRoad scenario
-of a highway, and ``config["ego"]`` the number of a vehicle, to start in its place. Prints what
-came of it and writes ``videos/recorded-episode-0.mp4``; needs the extra ``video``. Run::
+The recording of US-101 comes with the package; ``config["recording"]`` takes the file
+of any other CommonRoad scenario of a highway, and ``config["ego"]`` the number of a
+vehicle, to start in its place. Prints what came of it and writes
+``videos/recorded-episode-0.mp4``; needs the extra ``video``. Run::
 
     python notebooks/examples/recorded.py
 """

@@ -1,10 +1,14 @@
-r"""Let a rule of your own choose between human models of your own, with one human and with two, live and in a batch.
+r"""Let a rule of your own choose between human models of your own.
 
-There are two kinds of rules. A chooser picks the models, such as ``near:6``. An estimator says what models gain, which
-is then weighed against their time at a lambda, such as ``closeness:2``. All are known to a command as well::
+It chooses with one human and with two, live and in a batch. There are two kinds of
+rules. A chooser picks the models, such as ``near:6``. An estimator says what models
+gain, which is then weighed against their time at a lambda, such as ``closeness:2``. All
+are known to a command as well::
 
-    ms-highway --import notebooks.examples.rule compare merger --set ladder=coasting,tom \
-      --set costs=coasting=0.09,tom=0.37 --controllers near:6 closeness:2 tom --out results/near
+    ms-highway --import notebooks.examples.rule compare merger \
+      --set ladder=coasting,tom \
+      --set costs=coasting=0.09,tom=0.37 --controllers near:6 closeness:2 tom \
+      --out results/near
 """
 
 from dataclasses import dataclass

@@ -1,7 +1,8 @@
-"""Drive a stock scene of highway-env at a speed and within a budget of one's own, and record a video of it.
+"""Drive a stock scene of highway-env at a speed and within a budget of one's own.
 
-Within 20 milliseconds per plan, the cars whose answers may be worth most are predicted by the most expensive model.
-Prints a line per second and writes ``videos/stock-road-episode-0.mp4``; needs the extra ``video``. Run::
+A video of it is recorded. Within 20 milliseconds per plan, the cars whose answers may
+be worth most are predicted by the most expensive model. Prints a line per second and
+writes ``videos/stock-road-episode-0.mp4``; needs the extra ``video``. Run::
 
     python notebooks/examples/stock_road.py
 """

@@ -1,13 +1,16 @@
-"""Train an agent to choose human models, by PPO in JAX on many environments at once; needs optax.
+"""Train an agent to choose human models, by PPO in JAX.
 
-The agent chooses a model for every human in every step, and pays for the plan: its reward is r_R - lambda T(M). With
-one human its action space is Discrete, with several MultiDiscrete; the same network serves both::
+It trains on many environments at once; needs optax. The agent chooses a model for every
+human in every step, and pays for the plan: its reward is r_R - lambda T(M). With one
+human its action space is Discrete, with several MultiDiscrete; the same network serves
+both::
 
     pip install -e ".[learning]"
     python notebooks/examples/train_in_jax.py merger-v1
     python notebooks/examples/train_in_jax.py dense_merge --set humans=3 --updates 20
 
-Prints the reward of the agent while it learns, and at the end beside random choice, ``naive`` and ``learned:1``.
+Prints the reward of the agent while it learns, and at the end beside random choice,
+``naive`` and ``learned:1``.
 """
 
 import argparse
@@ -54,7 +57,7 @@ def network(parameters, inputs):
 
 
 def logits_of(parameters, observations, heads):
-    """Return the log-probability of every model for every human, [..., humans, rungs]."""
+    """Return the log-probability of each model for each human [..., humans, rungs]."""
     flat = network(parameters["policy"], observations)
     return jax.nn.log_softmax(flat.reshape(*flat.shape[:-1], *heads))
 

@@ -1,11 +1,15 @@
-"""Train agents of stable-baselines3 in stock scenes of highway-env, as drivers for ``ms-highway bench road``.
+r"""Train agents of stable-baselines3 in stock scenes of highway-env.
 
-DQN and PPO have the settings of highway-env's own examples, which train for 20,000 steps; actions and observations are
-each environment's own. Writes ``agents/ALGORITHM-SCENE-SEED.zip``. Needs stable-baselines3::
+They are drivers for ``ms-highway bench road``. DQN and PPO have the settings of
+highway-env's own examples, which train for 20,000 steps; actions and observations are
+each environment's own. Writes ``agents/ALGORITHM-SCENE-SEED.zip``. Needs
+stable-baselines3::
 
     pip install stable-baselines3
-    python notebooks/examples/train_peers.py intersection-v0 --steps 100000 --seeds 0 1 2
-    ms-highway bench road intersection-v0 --drivers priced agents/dqn-intersection-v0-0.zip
+    python notebooks/examples/train_peers.py intersection-v0 --steps 100000 \
+      --seeds 0 1 2
+    ms-highway bench road intersection-v0 \
+      --drivers priced agents/dqn-intersection-v0-0.zip
 """
 
 import argparse

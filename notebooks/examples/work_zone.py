@@ -1,8 +1,9 @@
-"""Drive a robot through a scene of your own: a work zone with highway-env's own collisions.
+"""Drive a robot through a scene of your own: a work zone.
 
-The robot's controller plays a `ms_highway.Game`, which says where the lanes are and what both drive for; everything
-else is highway-env. Humans are commuters, who keep clear of who comes into their lane. Algorithm 1 mostly plans
-naively, and by theory of mind for some steps while the robot merges. Run::
+Its collisions are highway-env's own. The robot's controller plays a `ms_highway.Game`,
+which says where the lanes are and what both drive for; everything else is highway-env.
+Humans are commuters, who keep clear of who comes into their lane. Algorithm 1 mostly
+plans naively, and by theory of mind for some steps while the robot merges. Run::
 
     python notebooks/examples/work_zone.py
 """

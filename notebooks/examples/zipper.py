@@ -1,7 +1,8 @@
-"""Add a scenario of your own, Zipper: the robot's lane is closed by cones, and a human drives beside it.
+"""Add a scenario of your own, Zipper.
 
-It has everything that the paper's scenarios have: an environment (``ms-highway/zipper-v0``), configuration, films,
-comparisons. Run it, or make it known to any command::
+The robot's lane is closed by cones, and a human drives beside it. It has everything
+that the paper's scenarios have: an environment (``ms-highway/zipper-v0``),
+configuration, films, comparisons. Run it, or make it known to any command::
 
     python notebooks/examples/zipper.py
     ms-highway --import notebooks.examples.zipper compare zipper --out results/zipper

@@ -1,7 +1,8 @@
-"""Keep what lies in `results/` here, in five files, and rewrite the tables of the pages that show it.
+"""Keep what lies in `results/` here, and rewrite the tables that show it.
 
-Run it in the project's directory after any of the commands in `notebooks/results/README.md`; runs that do not lie
-in `results/` stay as they were kept::
+There are five files, and the tables are those of the pages. Run it in the project's
+directory after any of the commands in `notebooks/results/README.md`; runs that do not
+lie in `results/` stay as they were kept::
 
     python notebooks/results/collect.py
 """

@@ -51,7 +51,6 @@ def test_learned_values_decide_and_a_single_plan_can_be_made():
 
 def test_the_command_simulates_episodes(tmp_path):
     pytest.importorskip("pyarrow")
-    assert not main(
-        f"sweep merger --controllers naive --seeds 2 --devices 1 --out {tmp_path}".split()
-    )
+    command = "sweep merger --controllers naive --seeds 2 --devices 1"
+    assert not main([*command.split(), "--out", str(tmp_path)])
     assert (tmp_path / "summary.csv").read_text().count("\n") == 2

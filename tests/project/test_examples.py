@@ -52,7 +52,7 @@ def test_every_example_runs_and_prints_what_its_text_says(printed):
 @pytest.mark.parametrize(
     "scenario", ["merger-v1", "dense_merge --set humans=2 --set duration=1"]
 )
-def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_values_and_naive(
+def test_an_agent_learns_in_jax_and_is_compared_with_others(
     scenario,
 ):
     _, *lines = python(
@@ -66,7 +66,7 @@ def test_an_agent_learns_in_jax_and_is_compared_with_random_choice_learned_value
     ]
 
 
-def test_an_agent_learns_to_choose_and_is_compared_with_random_choice_every_model_and_learned_values(
+def test_an_agent_learns_to_choose_and_is_compared_with_others(
     tmp_path,
 ):
     pytest.importorskip(

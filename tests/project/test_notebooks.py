@@ -52,9 +52,7 @@ def kinds(cell):
 
 @drives_long
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_runs_with_quick_constants_and_shows_the_kinds_of_outputs_of_the_committed_one(
-    path, tmp_path
-):
+def test_a_notebook_that_runs_quickly_shows_the_committed_outputs(path, tmp_path):
     notebook, committed = (nbformat.read(path, as_version=4) for _ in range(2))
     (cell,) = (
         cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", [])

@@ -10,7 +10,7 @@ from ms_highway.runtime.files import LOCK, file_name, held, replacing, tidy
 SIZE = 20_000  # bytes
 
 
-def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
+def test_a_file_that_does_not_fit_is_named_and_changes_nothing(tmp_path):
     """As on a full disk, the error of the system names no file."""
     file = tmp_path / "summary.csv"
     file.write_text("before")
@@ -28,7 +28,7 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_what_was_there(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):
+def test_a_file_that_several_write_is_always_whole(tmp_path):
     file = tmp_path / "report.html"
 
     def write(letter):
@@ -44,7 +44,7 @@ def test_several_may_write_the_same_file_and_readers_find_it_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_directory_is_held_by_one_at_a_time_and_tidied_of_what_killed_commands_left(
+def test_a_directory_is_held_by_one_command_at_a_time(
     tmp_path,
 ):
     directory = tmp_path / "out"
@@ -105,7 +105,7 @@ NAMES = [
 ]
 
 
-def test_any_name_gives_a_file_in_its_directory_and_each_one_another(tmp_path):
+def test_every_name_has_its_own_file_in_the_directory(tmp_path):
     for name in NAMES:
         file = tmp_path / f"{file_name(name)}.solution.xml"
         assert file.resolve().parent == tmp_path

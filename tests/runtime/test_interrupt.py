@@ -40,7 +40,7 @@ def interrupted(process):
     return said.splitlines()[-1], process.returncode
 
 
-def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sentence(
+def test_an_interrupt_during_imports_ends_a_command_with_one_sentence(
     tmp_path,
 ):
     process = begin(f"{SCRIPT} {SWEEP} {tmp_path}")
@@ -49,7 +49,7 @@ def test_an_interrupt_while_a_command_imports_what_it_needs_ends_it_with_one_sen
     assert interrupted(process) == ENDED
 
 
-def test_an_interrupt_while_a_batch_is_computed_ends_the_command_at_once(tmp_path):
+def test_an_interrupt_during_a_batch_ends_the_command_at_once(tmp_path):
     process = begin(f"-m ms_highway {SWEEP} {tmp_path}")
     while not (tmp_path / "provenance.json").exists():
         assert process.poll() is None
@@ -72,14 +72,21 @@ import numpy as np
 from ms_highway.runtime.compilation import CHUNK, share_among
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
-long = jax.jit(lambda items: jax.lax.fori_loop(0, 1_000_000, lambda _, x: jax.numpy.sin(x), items))
-items, main = np.zeros((CHUNK, 40), np.float32), threading.get_ident()
-share_among(jax.local_devices(), long, items, CHUNK)  # compiles, during which an interrupt may be lost
+
+@jax.jit
+def long(items):
+    return jax.lax.fori_loop(0, 1_000_000, lambda _, x: jax.numpy.sin(x), items)
+
+items = np.zeros((CHUNK, 40), np.float32)
+main = threading.get_ident()
+# Compile first: meanwhile an interrupt may be lost.
+share_among(jax.local_devices(), long, items, CHUNK)
 threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
 try:
     all(share_among(jax.local_devices(), long, items, CHUNK).size for _ in count())
 except KeyboardInterrupt:
-    print([thread.name for thread in threading.enumerate() if thread.name.startswith("ThreadPool")])
+    names = [thread.name for thread in threading.enumerate()]
+    print([name for name in names if name.startswith("ThreadPool")])
 """
 
 

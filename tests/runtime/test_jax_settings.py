@@ -10,7 +10,7 @@ from commands import python
 from ms_highway.runtime.jax_settings import keep_compilations
 
 
-def test_compiled_functions_are_used_again_and_a_damaged_one_is_compiled_anew(tmp_path):
+def test_a_compiled_function_is_used_again_unless_it_is_damaged(tmp_path):
     kept = keep_compilations(tmp_path / "kept")
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 
@@ -55,7 +55,8 @@ from ms_highway.experiments.runner import make_environment
 warnings.filterwarnings("error", message="Explicitly requested dtype")
 assert jax.config.jax_enable_x64
 for scenario, *controllers in (
-    ("dense_merge", "budget:60000"), ("merger", "switching:0.1", "horizon:0.1", "tom@8+warm")
+    ("dense_merge", "budget:60000"),
+    ("merger", "switching:0.1", "horizon:0.1", "tom@8+warm"),
 ):
     for name in controllers:
         env = make_environment(scenario, name)
@@ -67,22 +68,26 @@ env = ms_highway.drive(gymnasium.make("intersection-v0"))
 env.reset(seed=0)
 for _ in range(2):
     env.step(env.action_space.sample())
-functions = ms_highway.FunctionalEnv("merger-v0", {"action": {"type": "ContinuousAction"}})
+config = {"action": {"type": "ContinuousAction"}}
+functions = ms_highway.FunctionalEnv("merger-v0", config)
 
 def step(state, action):
     state, _, reward, *_ = functions.step(state, action)
     return state, reward
 
 def rollout(key):
-    return jax.lax.scan(step, functions.reset(key)[0], jax.random.uniform(key, (3, 2), minval=-1, maxval=1))
+    actions = jax.random.uniform(key, (3, 2), minval=-1, maxval=1)
+    return jax.lax.scan(step, functions.reset(key)[0], actions)
 
-assert jax.jit(jax.vmap(rollout))(jax.random.split(jax.random.key(0), 2))[1].dtype == "float32"
-assert main(["sweep", "merger", "--controllers", "tom", "--seeds", "2", "--out", "out"]) == 0
+keys = jax.random.split(jax.random.key(0), 2)
+_, rewards = jax.jit(jax.vmap(rollout))(keys)
+assert rewards.dtype == "float32"
+assert main("sweep merger --controllers tom --seeds 2 --out out".split()) == 0
 """
 
 
 @pytest.mark.slow
-def test_everything_drives_in_single_precision_where_a_program_computes_in_double(
+def test_everything_drives_in_single_precision_in_a_program_of_double_precision(
     tmp_path,
 ):
     python(
