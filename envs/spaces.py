@@ -51,7 +51,7 @@ class CarStates(ObservationType):
         self.low = np.tile(np.float32(low), (env.cars, 1))
         self.high = np.tile(np.float32(high), (env.cars, 1))
 
-    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
+    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
         """Return the lowest and the highest value of each column.
 
         They follow from the scaled values that states reach.
@@ -110,7 +110,7 @@ class SceneStates(CarStates):
 
     reached = (80.0, 100.0)
 
-    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
+    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
         """See `CarStates`."""
         low = np.array([0.0, *-reached, 0.0, 0.0])
         high = np.array([1.0, *reached, 1.0, 1.0])
@@ -160,7 +160,7 @@ class CarTracks(CarStates):
     bound = 1e4
     """Bound of all numbers, which none reaches [m, rad, m/s]."""
 
-    def ends(self, reached: Vector) -> tuple[Vector, Vector]:
+    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
         """See `CarStates`."""
         low = np.array([0.0, *[-self.bound] * 4])
         high = np.array([1.0, *[self.bound] * 4])
