@@ -46,7 +46,7 @@ def test_a_road_at_an_angle_becomes_straight(tmp_path):
         np.testing.assert_allclose(states, expected, atol=1e-6)
 
 
-def test_a_track_is_a_driver_once_in_the_files_of_a_recording(tmp_path):
+def test_a_track_is_a_driver_in_one_file_only(tmp_path):
     """A pedestrian never is one."""
     cars = pedestrian(103, 80) + car(100, 20, 0) + car(102, 60, 3.0)
     second = scenario(cars=cars, number=2)

@@ -119,7 +119,7 @@ def test_highway_envs_own_idm_vehicles_are_reproduced():
     np.testing.assert_allclose(found, np.moveaxis(path, 0, 1), atol=2e-3)
 
 
-def test_errors_of_a_known_path_are_its_distances_from_the_recording():
+def test_errors_of_a_known_path_are_its_distances():
     snapshots = cut_snapshots([following()])
     exact = predict_with("constant_velocity", snapshots, DRIVERS)
     times = 0.1 * np.arange(1, 51)
@@ -136,7 +136,7 @@ def test_errors_of_a_known_path_are_its_distances_from_the_recording():
     assert wrong["log_p"]["5"] < right["log_p"]["5"]
 
 
-def test_a_driver_who_drifts_to_the_next_lane_is_expected_there():
+def test_a_drifting_driver_is_expected_in_the_next_lane():
     drifting = following()
     drifting.states[:, 0, 2] = -0.06
     # In the snapshot, it is half way to the next lane.

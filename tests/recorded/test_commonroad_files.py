@@ -155,7 +155,7 @@ def test_damaged_files_are_read_or_refused_by_file_and_element(tmp_path):
     assert 40 < survived < 160
 
 
-def test_a_time_step_that_is_no_number_is_refused_by_name(tmp_path):
+def test_a_time_step_that_is_no_number_is_named(tmp_path):
     path = tmp_path / "damaged.xml"
     path.write_text(scenario().replace('timeStepSize="0.1"', 'timeStepSize="often"'))
     with pytest.raises(

@@ -366,7 +366,7 @@ def test_the_ego_goes_to_the_last_position_of_its_vehicle():
         assert 298 not in others(env)
 
 
-def test_an_impossible_episode_is_refused_and_the_old_one_goes_on(tmp_path):
+def test_an_impossible_episode_leaves_the_old_one_as_it_was(tmp_path):
     env, _ = begun(written(tmp_path))
     before = dict(env.config)
     with pytest.raises(
@@ -445,7 +445,7 @@ def driven_through(directory, radius, side, speed, angle=np.pi / 2):
 
 
 @pytest.mark.parametrize("radius", [7, 12, 60])
-def test_the_robot_stays_in_its_lane_in_bends_at_its_grip(radius, tmp_path):
+def test_the_robot_stays_in_its_lane_in_sharp_bends(radius, tmp_path):
     """It comes to the last bend at twice the speed that its grip allows, and brakes."""
     limit = np.sqrt(GRIP * radius)
     for side, speed in ((1, limit), (-1, limit), (-1, 2 * limit)):
