@@ -98,7 +98,7 @@ def parse(given: Sequence[str]) -> argparse.Namespace:
     """Parse a command line.
 
     Returns:
-        The options, the `Command` in ``command`` and the whole line in
+        The options, the ``Command`` in ``command`` and the whole line in
             ``command_line``.
 
     Raises:

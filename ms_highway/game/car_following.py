@@ -101,7 +101,7 @@ HIGHWAY_ENV_IDM = IdmParameters(
     comfortable_braking=5.0,
     between="centres",
 )
-"""Parameters of highway-env's `IDMVehicle`, the traffic on its roads."""
+"""Parameters of highway-env's ``IDMVehicle``, the traffic on its roads."""
 
 STREAM_IDM = IdmParameters(
     headway=0.1,

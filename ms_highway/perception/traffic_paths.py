@@ -64,7 +64,7 @@ LANE_CHOICE = LaneChoice()
 
 
 class TrafficFields(TypedDict):
-    """The fields of a `RoadScene` that describe others."""
+    """The fields of a ``RoadScene`` that describe others."""
 
     paths: Curve
     states: State

@@ -1,6 +1,6 @@
 """Read numbers, intervals and shapes from elements of CommonRoad's XML.
 
-All functions raise a `ValueError` that names the element and the value for anything
+All functions raise a ``ValueError`` that names the element and the value for anything
 that is missing, no number, or larger than a scenario can have. The functions know no
 version of the format: what the elements of a scenario are called and how they belong
 together stands in `ms_highway.recorded.commonroad`.

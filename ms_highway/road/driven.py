@@ -38,7 +38,7 @@ from ms_highway.road.stock import (
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
 
 Info: TypeAlias = dict[str, Any]
-"""What `reset` and `step` tell besides the observation, by key."""
+"""What ``reset`` and ``step`` tell besides the observation, by key."""
 
 Observation: TypeAlias = Any
 Reward: TypeAlias = Any

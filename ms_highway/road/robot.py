@@ -25,7 +25,9 @@ from ms_highway.vehicle.bicycle import OfferedSpeeds
 from ms_highway.vehicle.planning import at_constant_speed
 
 LARGEST_SLIP = 1.1
-"""Largest slip angle, just below that of `GripUse.largest_slip_sine` [rad]."""
+"""Largest slip angle [rad], just below that whose sine is the largest of
+`ms_highway.road.robot_motion.GripUse`.
+"""
 
 
 def steering_of(curvature: float, length: float) -> float:
