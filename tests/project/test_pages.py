@@ -139,6 +139,27 @@ def test_the_map_lists_all_packages_in_the_order_of_their_imports():
     )
 
 
+def test_the_tour_of_a_step_is_short_and_finds_its_code():
+    _, tour = TEXTS[MAP].split("## A reading room")
+    stop = r"\]\(\.\./([\w/]+\.py)\):\s+((?:`[\w.]+`(?:,\s+)?)+)"
+    lines = 0
+    for place, names in re.findall(stop, tour):
+        tree = ast.parse((ROOT / place).read_text())
+        code = dict(definitions(tree))
+        for name in re.findall(r"`([\w.]+)`", names):
+            lines += code[name].end_lineno - code[name].lineno + 1
+    assert 1000 < lines <= 1500
+
+
+def definitions(tree, prefix=""):
+    """Yield the functions and classes of a module, and methods, by qualified name."""
+    for node in tree.body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            yield prefix + node.name, node
+        if isinstance(node, ast.ClassDef):
+            yield from definitions(node, f"{node.name}.")
+
+
 def test_every_name_in_a_docstring_exists():
     """Names of this package are in single backticks, other code in double ones."""
     names = [found.name for found in walk_packages(ms_highway.__path__, "ms_highway.")]
