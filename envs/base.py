@@ -351,7 +351,9 @@ class InteractionEnv(GameEnv):
             counted = self.counted.of_models(step.counted_models) if step else 0.0
             own["counted_seconds"] = counted
         if controller.belief:
-            belief = step.belief if step else equal_probabilities(settings.humans)
+            belief = step.belief if step else None
+            if belief is None:
+                belief = equal_probabilities(settings.humans)
             own["belief"] = read_only(belief)
 
         # The agent's choice needs no gains.

@@ -155,7 +155,9 @@ def _with_predictions(
     if chosen is None:
         return for_numbers(game.number, predict)
     return for_each(
-        chosen, lambda human, humans: humans.at[human].set(predict(human)), expected
+        chosen,
+        lambda human, humans: humans.at[human].set(predict(human)),
+        jnp.asarray(expected),
     )
 
 

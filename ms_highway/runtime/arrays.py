@@ -72,7 +72,10 @@ ModelProbabilities: TypeAlias = Float[Array, "humans models"]
 PerHuman: TypeAlias = Float[Array, "humans"]
 
 
-def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
+Tree = TypeVar("Tree")  # a pytree of arrays
+
+
+def for_rows(function: Callable[..., Tree], *arrays: object) -> Tree:
     """Compute a function of every row of pytrees of arrays; a single row needs no
     `jax.vmap`, so it compiles faster.
     """
@@ -83,7 +86,7 @@ def for_rows(function: Callable[..., Any], *arrays: Any) -> Any:
     )
 
 
-def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
+def for_numbers(count: int, function: Callable[[Index], Tree]) -> Tree:
     """Compute a function of 0, 1, ..., one by one, and stack the results; a single one
     needs no loop.
     """
@@ -93,8 +96,8 @@ def for_numbers(count: int, function: Callable[[Index], Any]) -> Any:
 
 
 def for_each(
-    chosen: Bool[Array, "n"], function: Callable[[Index, Any], Any], start: Any
-) -> Any:
+    chosen: Bool[Array, "n"], function: Callable[[Index, Tree], Tree], start: Tree
+) -> Tree:
     """Loop over the chosen rows, one round for each, so that the time is proportional
     to their number.
 
@@ -108,7 +111,7 @@ def for_each(
         start: first result.
     """
 
-    def loop() -> Any:
+    def loop() -> Tree:
         order = jnp.argsort(-chosen.astype(int), stable=True)
         return jax.lax.fori_loop(
             0,
@@ -120,7 +123,7 @@ def for_each(
     return jax.lax.cond(chosen.any(), loop, lambda: start)
 
 
-def read_only(tree: Any) -> Any:
+def read_only(tree: Tree) -> Tree:
     """Return a pytree whose NumPy arrays cannot be written; they are views of the same
     numbers.
 
@@ -130,7 +133,7 @@ def read_only(tree: Any) -> Any:
     return jax.tree.map(_unwritable, tree)
 
 
-def _unwritable(leaf: Any) -> Any:
+def _unwritable(leaf: object) -> object:
     """Return a view of a NumPy array that cannot be written; anything else as it is."""
     if not isinstance(leaf, np.ndarray):
         return leaf
@@ -165,7 +168,7 @@ class Published(dict[str, Any]):
         TypeError: from every method that would change it.
     """
 
-    def _refuse(self, *_: Any, **__: Any) -> NoReturn:
+    def _refuse(self, *_: object, **__: object) -> NoReturn:
         raise TypeError(
             f"these numbers belong to ms_highway: {dict(self)!r}; change a copy, such"
             " as dict(weights)"
@@ -207,7 +210,7 @@ def plain(structure: Kind) -> Kind:
     return msgspec.convert(content, type(structure))
 
 
-def read(content: Any, kind: type[Kind]) -> Kind:
+def read(content: object, kind: type[Kind]) -> Kind:
     """Return the content of JSON as a structure.
 
     Raises:
@@ -231,7 +234,7 @@ def read(content: Any, kind: type[Kind]) -> Kind:
         raise ValueError(f"{where if place or not hidden else ''}{problem}") from error
 
 
-def _problem(content: Any, kind: type) -> str:
+def _problem(content: object, kind: type) -> str:
     """Return the problem of a structure's content; an empty text without one."""
     try:
         msgspec.convert(content, kind)

@@ -9,13 +9,17 @@ from contextlib import suppress
 from functools import cache, update_wrapper, wraps
 from queue import SimpleQueue
 from time import perf_counter
-from typing import Any, TypeAlias
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import jax
 import numpy as np
 
 from ms_highway.runtime.jax_settings import cores, single_precision
 from ms_highway.runtime.process import refuse_after_fork
+
+
+Tree = TypeVar("Tree")
+Result = TypeVar("Result")  # both are pytrees of arrays
 
 
 @cache
@@ -35,20 +39,20 @@ def quick_options() -> dict[str, bool]:
     return options
 
 
-class Compiled:
+class Compiled(Generic[Result]):
     """A function that is compiled at its first call with each structure of arguments,
     see `jit_quickly`.
     """
 
     def __init__(
-        self, function: Callable[..., Any], options: Mapping[str, Hashable]
+        self, function: Callable[..., Result], options: Mapping[str, Hashable]
     ) -> None:
         self._function = function
         self._options = options
         self._compiled = dict[str, jax.stages.Wrapped]()
         update_wrapper(self, function)
 
-    def of(self, *arguments: Any) -> jax.stages.Wrapped:
+    def of(self, *arguments: object) -> jax.stages.Wrapped:
         """Return the jitted function for arguments of this structure."""
         refuse_after_fork()
         structure = str(jax.tree.structure(arguments))
@@ -61,13 +65,15 @@ class Compiled:
             )
         return self._compiled[structure]
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: object) -> Result:
         """Compute in single precision."""
         with single_precision():
             return self.of(*arguments)(*arguments)
 
 
-def jit_quickly(function: Callable[..., Any], **options: Hashable) -> Compiled:
+def jit_quickly(
+    function: Callable[..., Result], **options: Hashable
+) -> Compiled[Result]:
     """Apply `jax.jit` with `quick_options` and further compiler options; compute in
     single precision.
 
@@ -98,7 +104,7 @@ class Placed:
         return self.tree
 
 
-def single(tree: Any) -> Any:
+def single(tree: Tree) -> Tree:
     """Return a tree of numbers as NumPy arrays in single precision, for which a
     function is compiled once.
     """
@@ -108,7 +114,7 @@ def single(tree: Any) -> Any:
 BATCH = 32  # items; larger batches are hardly faster and waste more on the last one
 
 
-def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
+def in_batches(function: Callable[[Tree], Result], items: Tree) -> Result:
     """Compute a function of all items; return NumPy arrays.
 
     The last batch is padded with copies of the last item, so that the function is
@@ -124,7 +130,7 @@ def in_batches(function: Callable[[Any], Any], items: Any) -> Any:
     number = len(jax.tree.leaves(items)[0])
     size = 1 if number == 1 else BATCH
 
-    def compute(first: int) -> Any:
+    def compute(first: int) -> Result:
         places = range(first, first + size)
         return function(
             jax.tree.map(
@@ -141,7 +147,7 @@ _warm: set[Hashable] = (
 )  # compiled functions that have run, with the shapes of their arguments
 
 
-def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
+def warm_up(function: Callable[..., object], *arguments: object) -> float:
     """Compile and run a function that has not run before; return the seconds spent, 0
     if it was warm.
     """
@@ -156,7 +162,7 @@ def warm_up(function: Callable[..., Any], *arguments: Any) -> float:
     return perf_counter() - start
 
 
-def timed(function: Callable[..., Any], *arguments: Any) -> tuple[Any, float]:
+def timed(function: Callable[..., Result], *arguments: object) -> tuple[Result, float]:
     """Return the result of a warm computation, and the seconds until it was ready."""
     start = perf_counter()
     with single_precision():
@@ -203,8 +209,8 @@ def use_devices(count: int | None = None) -> Devices:
 
 
 def share_among(
-    devices: Devices, function: Callable[[Any], Any], items: Any, chunk: int
-) -> Any:
+    devices: Devices, function: Callable[[Tree], Result], items: Tree, chunk: int
+) -> Result:
     """Compute a function of many items, chunk by chunk; a device takes the next chunk
     as soon as it is free.
 
@@ -228,7 +234,7 @@ def share_among(
     for device in devices:
         free.put(device)
 
-    def compute(first: int) -> Any:
+    def compute(first: int) -> Result:
         places = np.arange(first, first + chunk).clip(max=count - 1)
         device = free.get()
         try:
