@@ -17,7 +17,6 @@ import numpy as np
 from ms_highway.runtime.jax_settings import cores, single_precision
 from ms_highway.runtime.process import refuse_after_fork
 
-
 Tree = TypeVar("Tree")
 Result = TypeVar("Result")  # both are pytrees of arrays
 
