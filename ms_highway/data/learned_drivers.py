@@ -7,7 +7,12 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import Float
 
-from ms_highway.runtime.arrays import Array, Structure, pytree
+from ms_highway.runtime.arrays import (
+    Array,
+    Numeric,
+    Structure,
+    pytree,
+)
 
 PerDriver = float | Float[Array, "*drivers"]
 
@@ -49,7 +54,7 @@ class TraitPrior(Structure):
     noise: Positive
 
     def traits(
-        self, logarithms: Float[Array, "*drivers 3"], speed_limit: PerDriver
+        self, logarithms: Float[Array, "*drivers 3"], speed_limit: Numeric
     ) -> RewardTraits:
         """Return the traits of drivers.
 

@@ -255,7 +255,7 @@ def leaders(
     lane: Float[SameArray, "*batch cars"],
     others: Float[SameArray, "*batch others 4"],
     counts: Bool[Array, "*#batch #cars others"],
-    reach: float | Float[Array, "*#batch #cars #others"],
+    reach: Numeric,
 ) -> tuple[Int[SameArray, "*batch cars"], Bool[SameArray, "*batch cars"]]:
     """Return which of the others is each car's leader in a lane, and whether any is.
 

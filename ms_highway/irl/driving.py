@@ -150,7 +150,7 @@ def shown_traits(drivers: Drivers, snapshot: Snapshots) -> TraitLogarithms:
 
     @jax.vmap
     @jax.value_and_grad
-    def expected(logarithms: TraitLogarithms, speed: Cars, leader: Leader) -> Scalar:
+    def expected(logarithms: Float[Array, "3"], speed: Cars, leader: Leader) -> Scalar:
         """Return the mean acceleration of a car with some traits, and its slopes."""
         usual = prior.traits(logarithms, snapshot.speed_limit)
         return held_acceleration(drivers.weights, usual, speed, leader).mean()

@@ -11,6 +11,7 @@ from functools import partial
 import jax
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import Bool, Float
 
 from ms_highway.data.learned_drivers import Drivers, LearnedDrivers
 from ms_highway.game.scenario import TIME_STEP
@@ -27,6 +28,7 @@ from ms_highway.irl.peers import PEER_PREDICTORS, predict_peer
 from ms_highway.irl.recording import CarFlags, Cars, CarStates
 from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 from ms_highway.planning.learned_driving import HELD_CONTROL
+from ms_highway.runtime.arrays import Array
 from ms_highway.runtime.compilation import in_batches
 
 PREDICTORS = {"model": "learned drivers", **PEER_PREDICTORS}
@@ -100,7 +102,9 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     return Modes(probability, jnp.moveaxis(states, 2, 0)[..., :2])
 
 
-def lane_advantages(snapshot: Snapshots) -> tuple[CarStates, CarFlags]:
+def lane_advantages(
+    snapshot: Snapshots,
+) -> tuple[Float[Array, "cars 2 6"], Bool[Array, "cars 2"]]:
     """Return the advantages of the lanes beside [cars, 2, 6], and which exist.
 
     The lane to the left comes first. The advantages are those that

@@ -21,7 +21,7 @@ from ms_highway.game.features import FOLLOWING, HEADING_SHARE
 from ms_highway.game.scenario import PAPER_UNIT, SPEED_LIMIT, TIME_STEP
 from ms_highway.game.scene import Leader
 from ms_highway.geometry.curve import namespace
-from ms_highway.runtime.arrays import Scalar
+from ms_highway.runtime.arrays import Numeric
 
 AnyCars = Float[Any, "*cars"]
 
@@ -51,7 +51,7 @@ HELD_CONTROL = HeldControl()
 
 
 def held_acceleration(
-    weights: Mapping[str, Scalar], traits: RewardTraits, speed: AnyCars, leader: Leader
+    weights: Mapping[str, Numeric], traits: RewardTraits, speed: AnyCars, leader: Leader
 ) -> AnyCars:
     """Return the best acceleration to hold, from -8 to 4 m/s^2 (`CAR_LIMITS`).
 
@@ -108,7 +108,7 @@ def held_acceleration(
 
 
 def held_curvature(
-    weights: Mapping[str, Scalar], offset: AnyCars, heading: AnyCars, speed: AnyCars
+    weights: Mapping[str, Numeric], offset: AnyCars, heading: AnyCars, speed: AnyCars
 ) -> AnyCars:
     """Return the best curvature to hold, at most 0.02 1/m to each side.
 
