@@ -44,7 +44,10 @@ class Predictor(Protocol):
     """An agent of stable-baselines3, or an object with the same method."""
 
     def predict(
-        self, observation: Observation, *, deterministic: bool
+        self,
+        observation: Observation,
+        *,
+        deterministic: bool,
     ) -> tuple[np.ndarray, object]:
         """Return the action for an observation, and a state that is ignored."""
 
@@ -225,7 +228,8 @@ class AgentDrives(gym.Wrapper):
         return self._observation, self._described(info, "", "", 0.0)
 
     def step(
-        self, action: object
+        self,
+        action: object,
     ) -> tuple[Observation, SupportsFloat, bool, bool, Config]:
         """Let the agent choose an action, and take it.
 
@@ -251,7 +255,11 @@ class AgentDrives(gym.Wrapper):
         return self._observation, reward, terminated, truncated, described
 
     def _described(
-        self, info: Config, model: str, status: str, seconds: float
+        self,
+        info: Config,
+        model: str,
+        status: str,
+        seconds: float,
     ) -> Config:
         """Return ``info`` with all keys that it has under a controller.
 

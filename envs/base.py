@@ -99,7 +99,9 @@ class InteractionEnv(GameEnv):
 
     @classmethod
     def checked_config(
-        cls, changes: Changes | None, config: Changes | None = None
+        cls,
+        changes: Changes | None,
+        config: Changes | None = None,
     ) -> Config:
         """See `GameEnv.checked_config`; also check ladder and controller.
 

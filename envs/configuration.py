@@ -220,7 +220,10 @@ def _builtin(value: object) -> object:
 
 
 def check(
-    place: str, value: object, annotation: Annotation, strict: bool = True
+    place: str,
+    value: object,
+    annotation: Annotation,
+    strict: bool = True,
 ) -> None:
     """Check the value of a key against an annotation.
 
@@ -241,7 +244,9 @@ def check(
 
 
 def check_type(
-    place: str, values: object, known: Mapping[str, dict[str, Annotation]]
+    place: str,
+    values: object,
+    known: Mapping[str, dict[str, Annotation]],
 ) -> None:
     """Check an action or observation type, with the parts of a ``TupleObservation``.
 

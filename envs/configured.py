@@ -182,7 +182,9 @@ class ConfiguredEnv(AbstractEnv):
     _spec: EnvSpec | None = None
 
     def __init__(
-        self, config: Config | None = None, render_mode: str | None = None
+        self,
+        config: Config | None = None,
+        render_mode: str | None = None,
     ) -> None:
         super().__init__(config, render_mode)
         # The episode that highway-env starts in its constructor does not count.
@@ -202,7 +204,9 @@ class ConfiguredEnv(AbstractEnv):
 
     @classmethod
     def checked_config(
-        cls, changes: Changes | None, config: Changes | None = None
+        cls,
+        changes: Changes | None,
+        config: Changes | None = None,
     ) -> Config:
         """Return the whole configuration after changes, see `merged`.
 
@@ -298,7 +302,9 @@ class ConfiguredEnv(AbstractEnv):
         self.observation_space = finite(self.observation_type.space())
 
     def type_of(
-        self, factory: Callable[[AbstractEnv, Config], SpaceType], config: Config
+        self,
+        factory: Callable[[AbstractEnv, Config], SpaceType],
+        config: Config,
     ) -> SpaceType:
         """Make a type of actions or observations.
 
@@ -311,7 +317,10 @@ class ConfiguredEnv(AbstractEnv):
         return kind(self, **config) if kind else factory(self, config)
 
     def reset(
-        self, *, seed: int | None = None, options: Config | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: Config | None = None,
     ) -> tuple[np.ndarray, Config]:
         """Start an episode.
 

@@ -415,7 +415,10 @@ class Pair(NamedTuple):
         return keys | keys_of(class_of(self.estimator))
 
     def read(
-        self, kind: str, config: object, strict: bool = True
+        self,
+        kind: str,
+        config: object,
+        strict: bool = True,
     ) -> ControllerSettings:
         """Read the configuration of a controller of this type.
 

@@ -158,7 +158,9 @@ class DemonstrationEnv(GameEnv):
         }
 
     def __init__(
-        self, config: Config | None = None, render_mode: str | None = None
+        self,
+        config: Config | None = None,
+        render_mode: str | None = None,
     ) -> None:
         self.game = demonstration_game()
         super().__init__(config, render_mode)
@@ -264,7 +266,10 @@ def draw_routes(
 
 
 def _draw_route(
-    random: np.random.Generator, times: Times, lanes: Vector, x: float
+    random: np.random.Generator,
+    times: Times,
+    lanes: Vector,
+    x: float,
 ) -> np.ndarray:
     """Draw the states of a car at these times, [times, 4], which starts near x."""
     draw = ROUTE_DRAW

@@ -26,7 +26,9 @@ from ms_highway.vehicle import HumanVehicle
 
 
 def draw_drivers(
-    names: tuple[str, ...], humans: int, random: Random
+    names: tuple[str, ...],
+    humans: int,
+    random: Random,
 ) -> Int[Array, "humans"]:
     """Return the number of every human's driver.
 
@@ -61,7 +63,9 @@ def vehicle_class(name: str | None) -> type[Vehicle]:
 
 
 def human_controller(
-    game: Game, name: str | None, random: np.random.Generator
+    game: Game,
+    name: str | None,
+    random: np.random.Generator,
 ) -> Controller | None:
     """Return what drives a human; None for a vehicle that drives by itself.
 

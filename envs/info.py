@@ -36,7 +36,9 @@ class Timing:
     shape: ClassVar[tuple[int]] = (3,)
 
     def __array__(
-        self, dtype: DTypeLike | None = None, copy: bool | None = None
+        self,
+        dtype: DTypeLike | None = None,
+        copy: bool | None = None,
     ) -> np.ndarray:
         """Return the three times as an array [s].
 

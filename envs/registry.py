@@ -62,7 +62,8 @@ keep_apart("a rule", lambda: CONTROLLERS)
 
 
 def add_rule(
-    part: type[Part], estimator: type[Estimator[GameEvidence]] | None = None
+    part: type[Part],
+    estimator: type[Estimator[GameEvidence]] | None = None,
 ) -> None:
     """Add a decision rule of one's own by its name, for this process.
 
@@ -163,7 +164,9 @@ def _named(part: object) -> str:
 
 
 def add_agent(
-    name: str, agent: Agent | str | PathLike[str], config: Changes | None = None
+    name: str,
+    agent: Agent | str | PathLike[str],
+    config: Changes | None = None,
 ) -> None:
     """Add an agent or a planner by a name, for this process.
 

@@ -400,7 +400,10 @@ class Settings(Struct, frozen=True):
         return Costs.of({**known, **base}, self.humans)
 
     def start(
-        self, steps: int, random: np.random.Generator, costs: Costs | None = None
+        self,
+        steps: int,
+        random: np.random.Generator,
+        costs: Costs | None = None,
     ) -> Start:
         """Return what a rule is built from.
 

@@ -68,7 +68,8 @@ def refuse_own_steps(kind: type[InteractionEnv]) -> None:
 
 
 def shared_loop(
-    environment: InteractionEnv, controllers: Collection[ControllerSettings]
+    environment: InteractionEnv,
+    controllers: Collection[ControllerSettings],
 ) -> Loop:
     """Return the loop that all episodes of an environment share.
 
@@ -213,7 +214,9 @@ class FunctionalEnv:
     """
 
     def __init__(
-        self, scenario: str | type[InteractionEnv], config: Config | None = None
+        self,
+        scenario: str | type[InteractionEnv],
+        config: Config | None = None,
     ) -> None:
         refuse_after_fork()
         if isinstance(scenario, str):
@@ -377,7 +380,9 @@ class FunctionalEnv:
         return StepInputs(scheduled)
 
     def outcome(
-        self, records: Records, steps: Int[Array, "envs"]
+        self,
+        records: Records,
+        steps: Int[Array, "envs"],
     ) -> tuple[Array, Array, Array, Array]:
         """Return observations, rewards, terminated and truncated of environments.
 
@@ -392,7 +397,9 @@ class FunctionalEnv:
         return observations, reward, terminated, steps >= self.steps
 
     def observe(
-        self, states: Float[Array, "envs cars 4"], steps: Int[Array, "envs"]
+        self,
+        states: Float[Array, "envs cars 4"],
+        steps: Int[Array, "envs"],
     ) -> Float[Array, "envs cars columns"]:
         """Return the observations of environments that have done these steps."""
         return self.environment.observation_type.of(states, 1 - steps / self.steps)

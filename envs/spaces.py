@@ -175,7 +175,10 @@ class TupleObservation(observations.TupleObservation):
     """Several observations at once, of types of highway-env and of this package."""
 
     def __init__(
-        self, env: AbstractEnv, observation_configs: Sequence[Config], **_: object
+        self,
+        env: AbstractEnv,
+        observation_configs: Sequence[Config],
+        **_: object,
     ) -> None:
         super().__init__(env, [])
         self.observation_types = [
@@ -228,7 +231,8 @@ def is_possible(space: spaces.Space, action: object) -> bool:
 
 
 def limit_speed(
-    kind: actions.ContinuousAction, speed_range: Sequence[float] | None
+    kind: actions.ContinuousAction,
+    speed_range: Sequence[float] | None,
 ) -> None:
     """Let a type of actions keep its car within a range of speeds [m/s].
 
@@ -240,7 +244,8 @@ def limit_speed(
 
 
 def _limited_action(
-    kind: actions.ContinuousAction, action: np.ndarray
+    kind: actions.ContinuousAction,
+    action: np.ndarray,
 ) -> dict[str, float]:
     """Return the control of an action, within the range of speeds.
 

@@ -164,7 +164,8 @@ class InteractionVectorEnv(VectorEnv):
         return seeds
 
     def step(
-        self, actions: object
+        self,
+        actions: object,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, Config]:
         """Step all environments.
 
@@ -259,7 +260,9 @@ class InteractionVectorEnv(VectorEnv):
         return np.asarray(functions.observe(state.now.state, state.step))
 
     def _advance(
-        self, state: EnvState, actions: np.ndarray
+        self,
+        state: EnvState,
+        actions: np.ndarray,
     ) -> tuple[EnvState, Records]:
         """Step all environments, chunk by chunk, on all cores.
 
@@ -335,7 +338,10 @@ _begin = jit_quickly(begin_episodes)
 
 @jit_quickly
 def _step_chunks(
-    loop: Loop, episodes: Episodes, now: EpisodeCarry, inputs: StepInputs
+    loop: Loop,
+    episodes: Episodes,
+    now: EpisodeCarry,
+    inputs: StepInputs,
 ) -> tuple[EpisodeCarry, Records]:
     """Step environments [chunks, together], chunk by chunk."""
     everything = (episodes, now, inputs)

@@ -13,7 +13,10 @@ from ms_highway.envs.configuration import Config
 
 
 def words(
-    text: str, size: int, color: Color, ground: Color | None = None
+    text: str,
+    size: int,
+    color: Color,
+    ground: Color | None = None,
 ) -> pygame.Surface:
     """Draw a line of text in a kerned font of ``size`` px.
 

@@ -72,7 +72,9 @@ INFERENCE = InferenceSettings()
 
 
 def next_controls(
-    game: Game, state: State, robot: Controls
+    game: Game,
+    state: State,
+    robot: Controls,
 ) -> Float[jax.Array, "humans models 2"]:
     """Return the next control of every human under each model, unscaled.
 

@@ -52,7 +52,11 @@ class Knapsack(Chooser[Evidence]):
         return self.milliseconds * 1e-3
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: Evidence,
     ) -> Rungs:
         """Choose the best rungs for the time that is left."""
         gains = jnp.asarray(gains)
@@ -82,7 +86,11 @@ class Budget(Knapsack[GameEvidence]):
     little_gain: ClassVar[float] = 0.02
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: GameEvidence,
     ) -> Rungs:
         """Choose the best rungs for the time that is left."""
         rank = nearness(evidence.game, evidence.outcome.after)
@@ -144,7 +152,8 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
     # Highest total value of the first 0, 1, ... humans with these counts, and the rung
     # of the last of them.
     def add(
-        table: Float[jax.Array, "*counts"], human: Float[jax.Array, "rungs"]
+        table: Float[jax.Array, "*counts"],
+        human: Float[jax.Array, "rungs"],
     ) -> tuple[jax.Array, jax.Array]:
         before = [table]
         for axis in range(axes):
@@ -167,7 +176,8 @@ def best_rungs(values: Gains, costs: Float[Array, "rungs"], capacity: Scalar) ->
     places_before = jnp.array([0, *strides])
 
     def take(
-        place: jax.Array, chosen: Int[jax.Array, "*counts"]
+        place: jax.Array,
+        chosen: Int[jax.Array, "*counts"],
     ) -> tuple[jax.Array, jax.Array]:
         rung = chosen.ravel()[place]
         return place - places_before[rung], rung

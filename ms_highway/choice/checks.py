@@ -116,7 +116,9 @@ def check_not_negative(price: Scalar, costs: Costs) -> None:
 
 
 def checked_estimate(
-    names: RuleNames, estimate: object, shape: tuple[int, ...]
+    names: RuleNames,
+    estimate: object,
+    shape: tuple[int, ...],
 ) -> Estimate:
     """Return the estimate of a user's estimator, with gains in single precision.
 

@@ -32,7 +32,11 @@ class Price(Priced[object]):
     """
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: object,
     ) -> Rungs:
         """Choose among the rungs with an estimate and a cost."""
         each = jnp.asarray(costs.each)  # [rungs]
@@ -61,7 +65,11 @@ class PriceFromFirst(Priced[object]):
     """
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: object,
     ) -> Rungs:
         """Choose for each human alone; without such a rung, it is the first one."""
         prices = self.price * jnp.asarray(costs.each)
@@ -87,7 +95,11 @@ class PriceTogether(Priced[GameEvidence]):
     most_humans: ClassVar[int] = 4
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: GameEvidence,
     ) -> Rungs:
         """Choose by the distances after the last step."""
         rank = nearness(evidence.game, evidence.outcome.after)
@@ -118,7 +130,11 @@ class Nearest(Chooser[GameEvidence]):
     count: Humans
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: GameEvidence
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: GameEvidence,
     ) -> Rungs:
         """Choose by the distances after the last step."""
         rank = nearness(evidence.game, evidence.outcome.after)

@@ -66,7 +66,8 @@ Network: TypeAlias = tuple[Layer, ...]
 
 
 def outputs(
-    network: Network, inputs: Float[jax.Array, "inputs"]
+    network: Network,
+    inputs: Float[jax.Array, "inputs"],
 ) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
     """Return what each network expects for the same inputs, and how sure it is.
 
@@ -343,7 +344,10 @@ class Values:
             )
 
     def rule(
-        self, models: tuple[HumanModel, ...], costs: Costs, price: float
+        self,
+        models: tuple[HumanModel, ...],
+        costs: Costs,
+        price: float,
     ) -> Rule[GameEvidence]:
         """Return the rule that chooses by these values at a price, see `estimator`."""
         return Rule(models, costs, PriceTogether(price), self.estimator(models))

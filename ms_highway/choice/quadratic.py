@@ -237,7 +237,11 @@ class Quadratic(Estimator[GameEvidence]):
         return Estimate(gains, jnp.bool(False))
 
     def _gains(
-        self, evidence: GameEvidence, rung: Index, climbs: Flag, checks: Flag
+        self,
+        evidence: GameEvidence,
+        rung: Index,
+        climbs: Flag,
+        checks: Flag,
     ) -> tuple[Scalar, Scalar]:
         """Estimate what the top rung and the rung below gain over the rung in use.
 
@@ -375,7 +379,9 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     n = len(robot)
 
     def earned(
-        controls: Float[jax.Array, "both"], player: Reward, state: State
+        controls: Float[jax.Array, "both"],
+        player: Reward,
+        state: State,
     ) -> Scalar:
         """Return what a player, car 0 of the state, earns by the controls of both."""
         own, partner = controls.reshape(2, -1, 2)

@@ -122,7 +122,11 @@ class Chooser(Part, Generic[Evidence]):
     computes: ClassVar[bool] = True
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: Evidence
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: Evidence,
     ) -> Rungs:
         """Return the rung of every human in the coming step.
 
@@ -242,7 +246,11 @@ class Order(Chooser[object]):
     computes: ClassVar[bool] = False
 
     def choose(
-        self, memory: Memory, gains: Gains, costs: Costs, evidence: object
+        self,
+        memory: Memory,
+        gains: Gains,
+        costs: Costs,
+        evidence: object,
     ) -> Rungs:
         """Return the rungs of this step."""
         xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
@@ -252,7 +260,8 @@ class Order(Chooser[object]):
 
 
 def in_order(
-    rungs: Int[Array, "steps humans"], ladder: tuple[HumanModel, ...]
+    rungs: Int[Array, "steps humans"],
+    ladder: tuple[HumanModel, ...],
 ) -> Rule[object]:
     """Return the rule that takes the rungs of a ladder from a table, see `Order`.
 
@@ -297,7 +306,10 @@ def for_unresponsive(rule: Rule[Evidence]) -> tuple[Rule[Evidence], RungIndex]:
 
 
 def decide(
-    rule: Rule[GameEvidence], game: Game, memory: Memory, outcome: Outcome[State]
+    rule: Rule[GameEvidence],
+    game: Game,
+    memory: Memory,
+    outcome: Outcome[State],
 ) -> Decision:
     """Choose the rungs of the coming step in a game, see `decide_on`.
 
@@ -349,7 +361,10 @@ def _estimated(
 
 
 def _chosen(
-    rule: Rule[Evidence], memory: Memory, gains: Gains, evidence: Evidence
+    rule: Rule[Evidence],
+    memory: Memory,
+    gains: Gains,
+    evidence: Evidence,
 ) -> Rungs:
     """Return what a chooser says, checked if the chooser is not the package's."""
     if checks.is_part_of_package(rule.chooser):
@@ -440,7 +455,8 @@ def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
 
 
 def in_ladder(
-    rule: Rule[Evidence], rungs: Int[Array, "*shape"]
+    rule: Rule[Evidence],
+    rungs: Int[Array, "*shape"],
 ) -> Bool[Array, "*shape"]:
     """Return where numbers are rungs of the rule's ladder."""
     return checks.in_ladder(len(rule.ladder), rungs)

@@ -49,7 +49,9 @@ def description_names() -> tuple[str, ...]:
 
 
 def describe(
-    game: Game, state: State, humans: Int[Array, "some"]
+    game: Game,
+    state: State,
+    humans: Int[Array, "some"],
 ) -> Float[jax.Array, "some numbers"]:
     """Compute the numbers by which learned values choose, for some humans.
 
@@ -138,7 +140,9 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
 
 
 def _terms(
-    game: Game, player: Reward, states: Float[jax.Array, "times cars 4"]
+    game: Game,
+    player: Reward,
+    states: Float[jax.Array, "times cars 4"],
 ) -> Float[jax.Array, "times terms"]:
     """Return the weighted features of one player, car 0, and its reward's derivatives.
 

@@ -320,7 +320,8 @@ def _chosen_traffic(options: argparse.Namespace, scenes: list[str]) -> str:
 
 
 def _chosen_starts(
-    options: argparse.Namespace, starts: "Sequence[RecordedStart]"
+    options: argparse.Namespace,
+    starts: "Sequence[RecordedStart]",
 ) -> range:
     """Return the numbers of the recorded starts that ``--seed`` and ``--seeds`` choose.
 

@@ -174,7 +174,10 @@ class Command(NamedTuple):
 
 
 def command(
-    name: str, summary: str, *options: Option, simulates: bool = False
+    name: str,
+    summary: str,
+    *options: Option,
+    simulates: bool = False,
 ) -> partial[Command]:
     """Make a `Command` of the function that runs it."""
     return partial(Command, name, summary, options, simulates)
@@ -340,7 +343,9 @@ def count_episodes(counts: Iterator[int], already: int, total: int) -> int:
 
 
 def record_run(
-    results: "ResultsDirectory", options: argparse.Namespace, computes: bool = True
+    results: "ResultsDirectory",
+    options: argparse.Namespace,
+    computes: bool = True,
 ) -> None:
     """Record the command and the versions that make results.
 
@@ -367,7 +372,9 @@ def record_run(
 
 
 def save_figures(
-    figures: Mapping[str, "Callable[[], Figure]"], directory: Path, kind: str
+    figures: Mapping[str, "Callable[[], Figure]"],
+    directory: Path,
+    kind: str,
 ) -> None:
     """Draw figures into files of a directory, ``NAME.png``, ``.pdf`` or ``.svg``.
 

@@ -75,7 +75,8 @@ def reward_with_drivers(name: str) -> "LearnedReward":
 
 
 def chosen_model(
-    learn: list[str] | None, recordings: "list[Recording]"
+    learn: list[str] | None,
+    recordings: "list[Recording]",
 ) -> "RewardModel":
     """Return the reward model whose weights are learned.
 

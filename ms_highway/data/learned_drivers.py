@@ -54,7 +54,9 @@ class TraitPrior(Structure):
     noise: Positive
 
     def traits(
-        self, logarithms: Float[Array, "*drivers 3"], speed_limit: Numeric
+        self,
+        logarithms: Float[Array, "*drivers 3"],
+        speed_limit: Numeric,
     ) -> RewardTraits:
         """Return the traits of drivers.
 

@@ -257,7 +257,9 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
 
 
 def simulate_parts(
-    comparison: Comparison, parts: Mapping[str, range], devices: Devices | None = None
+    comparison: Comparison,
+    parts: Mapping[str, range],
+    devices: Devices | None = None,
 ) -> Iterator[tuple[str, Tables]]:
     """Simulate parts of a comparison one by one; yield their names and `Batch.tables`.
 

@@ -81,7 +81,9 @@ class Setup(distributed.WorkerPlugin):
 
 @contextmanager
 def connected(
-    address: str, comparison: Comparison, modules: Sequence[str] = ()
+    address: str,
+    comparison: Comparison,
+    modules: Sequence[str] = (),
 ) -> Iterator[Compute]:
     """Connect to a scheduler, set up its workers, and yield what computes there.
 
@@ -131,7 +133,9 @@ def _versions() -> list[str]:
 
 
 def _compute_there(
-    comparison: Comparison, name: str, part: range
+    comparison: Comparison,
+    name: str,
+    part: range,
 ) -> tuple[str, Tables]:
     """Simulate one part, in the process of a worker."""
     return next(simulate_parts(comparison, {name: part}))

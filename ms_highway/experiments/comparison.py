@@ -188,7 +188,8 @@ def paper_controllers(scenario: str) -> list[str]:
 
 
 def by_column(
-    gains: Mapping[str, object], states: Float[np.ndarray, "*batch cars 4"]
+    gains: Mapping[str, object],
+    states: Float[np.ndarray, "*batch cars 4"],
 ) -> dict[str, object]:
     """Return the columns of records for gains by model and for states.
 
@@ -291,7 +292,10 @@ def check_table(table: pd.DataFrame, needed: Sequence[str] = ()) -> None:
 
 
 def one_episode(
-    records: pd.DataFrame, scenario: str, controller: str, seed: int
+    records: pd.DataFrame,
+    scenario: str,
+    controller: str,
+    seed: int,
 ) -> pd.DataFrame:
     """Return the records of one episode, in the order of its steps.
 
@@ -310,7 +314,9 @@ def one_episode(
 
 
 def common_seeds(
-    records: pd.DataFrame, scenario: str, controllers: Sequence[str]
+    records: pd.DataFrame,
+    scenario: str,
+    controllers: Sequence[str],
 ) -> list[int]:
     """Return the seeds from which all of these controllers have driven, ascending."""
     rows = records.query("scenario == @scenario and controller in @controllers")

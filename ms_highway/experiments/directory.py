@@ -288,7 +288,10 @@ def _software(run: Run) -> dict[str, str]:
 
 
 def _differences(
-    one: Mapping, other: Mapping, absent: str, ignored: tuple[str, ...] = ()
+    one: Mapping,
+    other: Mapping,
+    absent: str,
+    ignored: tuple[str, ...] = (),
 ) -> str:
     """Say what one mapping has instead of another one.
 

@@ -49,7 +49,10 @@ class Outcomes:
     }
 
     def __init__(
-        self, batch: Batch, file: Path, devices: Devices | None = None
+        self,
+        batch: Batch,
+        file: Path,
+        devices: Devices | None = None,
     ) -> None:
         """Begin with the episodes in a file.
 
@@ -208,7 +211,10 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
 
 
 def regrets(
-    table: pd.DataFrame, controllers: Sequence[str], seeds: Sequence[int], price: float
+    table: pd.DataFrame,
+    controllers: Sequence[str],
+    seeds: Sequence[int],
+    price: float,
 ) -> pd.DataFrame:
     """Compute by how much controllers fall short of the best order of each start.
 

@@ -142,7 +142,9 @@ def prepare(
 
 
 def fit_values(
-    learning: LearningSettings, done: Sequence[Rollouts], number: int
+    learning: LearningSettings,
+    done: Sequence[Rollouts],
+    number: int,
 ) -> Values:
     """Fit values to the rollouts of ``number`` rounds.
 
@@ -314,7 +316,8 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
     optimizer = optax.adamw(rate, weight_decay=FIT.decay)
 
     def step(
-        carry: tuple[Network, optax.OptState], chosen: jax.Array
+        carry: tuple[Network, optax.OptState],
+        chosen: jax.Array,
     ) -> tuple[tuple[Network, optax.OptState], None]:
         """Take one gradient step."""
         network, state = carry

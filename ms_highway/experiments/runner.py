@@ -426,7 +426,10 @@ def _environment(scenario: str, controller: str, config: str) -> gym.Env:
 
 
 def make_environment(
-    scenario: str, controller: str, render: bool = False, **config: object
+    scenario: str,
+    controller: str,
+    render: bool = False,
+    **config: object,
 ) -> gym.Env:
     """Make the environment of a scenario with the robot driven by a controller.
 

@@ -123,7 +123,9 @@ def choosing_controllers(summaries: pd.DataFrame, scenario: str) -> list[str]:
 
 
 def most_informative_pair(
-    summaries: pd.DataFrame, scenario: str, own: bool = True
+    summaries: pd.DataFrame,
+    scenario: str,
+    own: bool = True,
 ) -> list[str]:
     """Return the two controllers of a scenario that are most informative side by side.
 

@@ -163,7 +163,9 @@ _rewards = jit_quickly(reward)
 
 
 def _first_controls(
-    model: HumanModel, game: Game, states: Float[np.ndarray, "states cars 4"]
+    model: HumanModel,
+    game: Game,
+    states: Float[np.ndarray, "states cars 4"],
 ) -> Float[np.ndarray, "states 2"]:
     """Return the first control of the robot's plan from each state."""
     plans = CompiledPlans(game, (model,))
@@ -171,7 +173,9 @@ def _first_controls(
 
 
 def _decisions(
-    game: Game, episodes: dict[str, np.ndarray], price: float
+    game: Game,
+    episodes: dict[str, np.ndarray],
+    price: float,
 ) -> dict[str, int]:
     """Count the choices that agree with the logged ones.
 

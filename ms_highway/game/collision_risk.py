@@ -93,7 +93,9 @@ def bodies_around(scene: Scene, others: Motion) -> Bodies:
 
 
 def _ellipse_distances(
-    scene: Scene, own: Motion, bodies: Bodies
+    scene: Scene,
+    own: Motion,
+    bodies: Bodies,
 ) -> Float[jax.Array, "bodies points *times"]:
     """Return the `ellipse_distance` D - 1 from points of the car to other bodies."""
     points = body_points(jnp.asarray(scene.car_size), scene.corner)
@@ -104,7 +106,10 @@ def _ellipse_distances(
 
 
 def touches(
-    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
+    scene: Scene,
+    own: Motion,
+    others: Motion,
+    clearance: float = 0.0,
 ) -> Bool[jax.Array, "*times"]:
     """Return whether the car collides with another body, by the scene's ``contact``.
 
@@ -126,7 +131,10 @@ def touches(
 
 
 def collision_risk(
-    scene: Scene, own: Motion, others: Motion, smooth: bool = False
+    scene: Scene,
+    own: Motion,
+    others: Motion,
+    smooth: bool = False,
 ) -> tuple[Times, Times]:
     """Return the risk of a collision, and the indicator of a collision.
 

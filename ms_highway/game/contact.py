@@ -59,7 +59,10 @@ CONTACT = ContactSettings()
 
 
 def overlap(
-    scene: Scene, own: Motion, others: Motion, clearance: float = 0.0
+    scene: Scene,
+    own: Motion,
+    others: Motion,
+    clearance: float = 0.0,
 ) -> Bool[jax.Array, "*times"]:
     """Return whether the car's body overlaps another car's or an obstacle's.
 
@@ -117,7 +120,9 @@ def contact_points(scene: Scene) -> Float[jax.Array, "points 2"]:
 
 
 def car_residuals(
-    scene: Scene, points: Float[Array, "2 points steps"], others: Motion
+    scene: Scene,
+    points: Float[Array, "2 points steps"],
+    others: Motion,
 ) -> Float[jax.Array, "others points steps"]:
     """Return quantities whose squares bend in D like `contact_cost`.
 
@@ -136,7 +141,8 @@ def car_residuals(
 
 
 def obstacle_residuals(
-    scene: Scene, own: Motion
+    scene: Scene,
+    own: Motion,
 ) -> Float[jax.Array, "obstacles steps"]:
     """Return the same as `car_residuals` for obstacles."""
     return CONTACT.obstacle_weight**0.5 * _residual(_distance_of_obstacles(scene, own))
@@ -154,7 +160,8 @@ def _residual(distance: Numbers) -> jax.Array:
 
 
 def _distance_of_obstacles(
-    scene: Scene, own: Motion
+    scene: Scene,
+    own: Motion,
 ) -> Float[jax.Array, "obstacles *times"]:
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]

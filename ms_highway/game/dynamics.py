@@ -251,7 +251,9 @@ def speeds(
 
 
 def _accumulate(
-    initial: jax.Array, changes: jax.Array, left: Scalar | None = None
+    initial: jax.Array,
+    changes: jax.Array,
+    left: Scalar | None = None,
 ) -> jax.Array:
     """Add the changes of all steps to an initial value.
 
@@ -264,7 +266,8 @@ def _accumulate(
 
 
 def _step_weights(
-    steps: int, left: Scalar | None = None
+    steps: int,
+    left: Scalar | None = None,
 ) -> Float[Array, "states terms"]:
     """Return, for each state, the weights of the initial value and of each change."""
     terms = np.arange(1 + steps)
@@ -320,7 +323,8 @@ def coast(dynamics: Dynamics, state: Float[Array, "*cars 4"], steps: int) -> Mot
 
 
 def keep_velocity(
-    dynamics: Dynamics, state: Float[SameArray, "*cars 4"]
+    dynamics: Dynamics,
+    state: Float[SameArray, "*cars 4"],
 ) -> Float[SameArray, "*cars 2"]:
     """Return the control that keeps speed and heading; it only compensates friction."""
     xp = state.__array_namespace__()

@@ -59,14 +59,18 @@ FOLLOWING = FollowingSettings()
 
 
 def reward(
-    scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
+    scene: Scene,
+    parameters: Reward,
+    states: Float[Array, "*batch cars 4"],
 ) -> Float[jax.Array, "*batch"]:
     """Compute car 0's reward in each state, theta . phi."""
     return jnp.asarray(motion_reward(scene, parameters, *_apart(states)))
 
 
 def features(
-    scene: Scene, parameters: Reward, states: Float[Array, "*batch cars 4"]
+    scene: Scene,
+    parameters: Reward,
+    states: Float[Array, "*batch cars 4"],
 ) -> Float[jax.Array, "*batch features"]:
     """Compute the features phi of car 0 in each state.
 
@@ -91,7 +95,11 @@ def features(
 
 
 def motion_reward(
-    scene: Scene, parameters: Reward, own: Motion, others: Motion, smooth: bool = False
+    scene: Scene,
+    parameters: Reward,
+    own: Motion,
+    others: Motion,
+    smooth: bool = False,
 ) -> Times:
     """Compute the reward of a car along its motion, theta . phi.
 
@@ -115,7 +123,11 @@ def _apart(states: Float[Array, "*batch cars 4"]) -> tuple[Motion, Motion]:
 
 
 def motion_features(
-    scene: Scene, parameters: Reward, own: Motion, others: Motion, smooth: bool = False
+    scene: Scene,
+    parameters: Reward,
+    own: Motion,
+    others: Motion,
+    smooth: bool = False,
 ) -> list[Times]:
     """Compute the features of a car along its motion, one array per name.
 
@@ -155,7 +167,10 @@ def motion_features(
 
 
 def _at_every_moment(
-    function: Feature, scene: Scene, own: Motion, others: Motion
+    function: Feature,
+    scene: Scene,
+    own: Motion,
+    others: Motion,
 ) -> Times:
     """Compute a user-defined feature along a motion.
 
@@ -241,7 +256,10 @@ def _with_gradient(
 
 
 def _traffic(
-    scene: Scene, parameters: Reward, own: Motion, others: Motion
+    scene: Scene,
+    parameters: Reward,
+    own: Motion,
+    others: Motion,
 ) -> list[Times]:
     """Compute the features of following and being followed in real traffic.
 
@@ -337,7 +355,10 @@ def soft_positive(excess: Array, soft: float) -> Array:
 
 
 def _merging(
-    scene: Scene, own: Motion, others: Motion, smooth: bool
+    scene: Scene,
+    own: Motion,
+    others: Motion,
+    smooth: bool,
 ) -> tuple[Times, Times]:
     """Return how far the car and its partner are from the target lane, and in it.
 

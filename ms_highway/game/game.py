@@ -174,7 +174,8 @@ def swap_roles(game: Game, human: Index = 0) -> Game:
 
 
 def constant_velocity(
-    game: Game, cars: Float[SameArray, "*cars 4"]
+    game: Game,
+    cars: Float[SameArray, "*cars 4"],
 ) -> Float[SameArray, "*cars steps 2"]:
     """Return the scaled controls that keep speed and heading over the horizon."""
     xp = cars.__array_namespace__()
@@ -242,7 +243,9 @@ def move(game: Game, car: Car, controls: Controls) -> Trajectory:
 
 
 def move_jacobian(
-    game: Game, car: Car, controls: Controls
+    game: Game,
+    car: Car,
+    controls: Controls,
 ) -> Float[jax.Array, "fields steps controls"]:
     """Return the derivative of `move` in the ravelled scaled controls."""
     scale = jnp.asarray(game.planner.control_scale)
@@ -251,14 +254,18 @@ def move_jacobian(
 
 
 def move_all(
-    game: Game, cars: State, controls: Float[Array, "cars steps 2"]
+    game: Game,
+    cars: State,
+    controls: Float[Array, "cars steps 2"],
 ) -> Trajectories:
     """Return the trajectories of some cars under scaled controls."""
     return for_rows(partial(move, game), cars, controls)
 
 
 def with_scripted(
-    game: Game, state: State, players: Float[jax.Array, "players fields steps"]
+    game: Game,
+    state: State,
+    players: Float[jax.Array, "players fields steps"],
 ) -> Float[jax.Array, "all_cars fields steps"]:
     """Return the trajectories of some cars, then those of the scripted cars after them.
 
@@ -274,7 +281,11 @@ def with_scripted(
 
 
 def step_rewards(
-    game: Game, payoff: Payoff, state: State, robot: Controls, humans: HumansControls
+    game: Game,
+    payoff: Payoff,
+    state: State,
+    robot: Controls,
+    humans: HumansControls,
 ) -> Float[jax.Array, "steps"]:
     """Return what each step earns under scaled controls of the robot and the humans.
 
@@ -291,7 +302,10 @@ def step_rewards(
 
 
 def total_reward(
-    game: Game, state: State, robot: Controls, humans: HumansControls
+    game: Game,
+    state: State,
+    robot: Controls,
+    humans: HumansControls,
 ) -> Scalar:
     """Return the sum of `step_rewards` of plans, R_R(x, u_R, u_H)."""
     return jnp.sum(step_rewards(game, game.payoff, state, robot, humans))

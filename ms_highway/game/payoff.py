@@ -101,7 +101,9 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
 
 
 def lateness(
-    scene: Scene, braking: Scalar, own: Motion
+    scene: Scene,
+    braking: Scalar,
+    own: Motion,
 ) -> Float[jax.Array, "obstacles steps"]:
     """Return r of `stopping_cost` for each obstacle, zero except in the middle step."""
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
@@ -193,7 +195,9 @@ class Payoff:
 
     @jax.jit
     def slopes(
-        self, own: Trajectory, others: Trajectories
+        self,
+        own: Trajectory,
+        others: Trajectories,
     ) -> tuple[Trajectory, Trajectories]:
         """Differentiate the sum in the car's trajectory, and in those of others."""
         return jax.grad(lambda *paths: self.total(*paths), argnums=(0, 1))(own, others)
@@ -234,7 +238,9 @@ class Payoff:
         return 2 * (total + jnp.sum(slopes[:, None] * slopes, axis=2))
 
     def _residuals(
-        self, others: Motion, path: Trajectory
+        self,
+        others: Motion,
+        path: Trajectory,
     ) -> Float[jax.Array, "residuals steps"]:
         """Return quantities whose squares are the costs of road and traffic.
 
@@ -278,7 +284,9 @@ class Payoff:
         return jnp.concatenate([residuals, late])
 
     def _closeness(
-        self, bodies: Bodies, points: PointPlaces
+        self,
+        bodies: Bodies,
+        points: PointPlaces,
     ) -> Float[jax.Array, "3 bodies points steps"]:
         """Return quantities whose squares bend like closeness.
 

@@ -224,7 +224,8 @@ def _check_weights(values: Mapping[str, float], names: tuple[str, ...]) -> None:
 
 
 def features_for(
-    *rewards: Mapping[str, float], least: tuple[str, ...] = PAPER_FEATURES
+    *rewards: Mapping[str, float],
+    least: tuple[str, ...] = PAPER_FEATURES,
 ) -> tuple[str, ...]:
     """Return the names of the features that these weights by name need.
 

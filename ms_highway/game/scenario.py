@@ -226,7 +226,10 @@ class Scenario:
             )
 
     def _check_point(
-        self, kind: str, point: tuple[float, ...], lengths: tuple[int, ...]
+        self,
+        kind: str,
+        point: tuple[float, ...],
+        lengths: tuple[int, ...],
     ) -> None:
         """Refuse a point that has other numbers than x and y, or is off all lanes.
 
@@ -366,7 +369,8 @@ def build_game(
 
 
 def _human_weights(
-    scenario: Scenario, human_driving: Mapping[str, float] | None
+    scenario: Scenario,
+    human_driving: Mapping[str, float] | None,
 ) -> dict[str, float]:
     """Return the weights of the humans' reward, see `build_game`."""
     weights = dict(scenario.human_weights)
@@ -436,7 +440,10 @@ def _humans(reward: Reward, number: int) -> Reward:
 
 
 def _solver(
-    name: SolverName, planning: PlanningSettings, continues: bool, ease: float
+    name: SolverName,
+    planning: PlanningSettings,
+    continues: bool,
+    ease: float,
 ) -> Solver:
     """Return the solver of a name; only `Newton` has an ease."""
     if name == "convex_newton":

@@ -207,7 +207,9 @@ neighbours at the start.
 
 
 def _several_v1(
-    scenario: Scenario, first_cone: float, spacing: tuple[float, float]
+    scenario: Scenario,
+    first_cone: float,
+    spacing: tuple[float, float],
 ) -> Scenario:
     """Return version 1 of a scenario with several humans, of six seconds.
 

@@ -75,13 +75,19 @@ class TracedRandom:
         return key
 
     def normal(
-        self, loc: float = 0.0, scale: ArrayLike = 1.0, size: ArrayLike = ()
+        self,
+        loc: float = 0.0,
+        scale: ArrayLike = 1.0,
+        size: ArrayLike = (),
     ) -> jax.Array:
         """Draw from a normal distribution."""
         return loc + jnp.asarray(scale) * jax.random.normal(self._next(), _shape(size))
 
     def uniform(
-        self, low: float = 0.0, high: Numeric = 1.0, size: ArrayLike = ()
+        self,
+        low: float = 0.0,
+        high: Numeric = 1.0,
+        size: ArrayLike = (),
     ) -> jax.Array:
         """Draw from a uniform distribution."""
         return jax.random.uniform(self._next(), _shape(size), minval=low, maxval=high)
@@ -114,7 +120,9 @@ def draw_starts(scenario: Scenario, random: Random) -> State:
 
 
 def draw_episode(
-    scenario: Scenario, random: Random, humans: Reward
+    scenario: Scenario,
+    random: Random,
+    humans: Reward,
 ) -> tuple[State, HumansWeights]:
     """Draw the start of every car, in SI units, and the weights of every human.
 
@@ -165,7 +173,9 @@ def draw_episode(
 
 
 def _draw_stream(
-    stream: Stream, humans: int, random: Random
+    stream: Stream,
+    humans: int,
+    random: Random,
 ) -> Float[Array, "humans_of_stream 4"]:
     """Draw the starts of a stream, front first, with the robot at x = 0 amidst."""
     shortest, longest = stream.spacing

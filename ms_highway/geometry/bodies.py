@@ -33,7 +33,10 @@ Directed = tuple[Numeric, Numeric, Numeric, Numeric]
 
 
 def separation(
-    own: AnyPose, size: AnySizes, other: AnyPose, sizes: AnySizes
+    own: AnyPose,
+    size: AnySizes,
+    other: AnyPose,
+    sizes: AnySizes,
 ) -> Numbers:
     """Return the distance between rectangles along the best separating axis [m].
 
@@ -59,7 +62,10 @@ def separation(
 
 
 def separation_of_directed(
-    own: Directed, other: Directed, size: Directions, other_size: Directions
+    own: Directed,
+    other: Directed,
+    size: Directions,
+    other_size: Directions,
 ) -> Numbers:
     """Return the `separation` of rectangles with headings by cosine and sine.
 
@@ -99,7 +105,10 @@ def separation_of_directed(
 
 
 def circles_overlap(
-    along: Numeric, across: Numeric, size: Directions, radius: Numeric
+    along: Numeric,
+    across: Numeric,
+    size: Directions,
+    radius: Numeric,
 ) -> Flags:
     """Return whether circles overlap a rectangle: whether it is within their radius.
 
@@ -137,7 +146,9 @@ def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
 
 
 def point_offsets(
-    own: Directed, points: Float[Array, "points 2"], other: Directed
+    own: Directed,
+    points: Float[Array, "points 2"],
+    other: Directed,
 ) -> tuple[Float[Array, "bodies points *times"], Float[Array, "bodies points *times"]]:
     """Return where points of a body are, along and across other bodies [m].
 
@@ -212,7 +223,8 @@ def square_distance(x: Numbers, y: Numbers) -> Numbers:
 
 
 def nearest_ahead(
-    distance: Float[SameArray, "*batch others"], counts: Bool[Array, "*#batch others"]
+    distance: Float[SameArray, "*batch others"],
+    counts: Bool[Array, "*#batch others"],
 ) -> tuple[Int[SameArray, "*batch"], Bool[SameArray, "*batch"]]:
     """Return which of the others is the nearest ahead, and whether any is.
 

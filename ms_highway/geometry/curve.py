@@ -182,7 +182,10 @@ def rotated(x: Numbers, y: Numbers, heading: Numeric) -> tuple[Numbers, Numbers]
 
 
 def interpolate(
-    values: Knots, s: Numeric, start: Numeric = -BEHIND, spacing: float = SPACING
+    values: Knots,
+    s: Numeric,
+    start: Numeric = -BEHIND,
+    spacing: float = SPACING,
 ) -> Numbers:
     """Interpolate values that belong to s = ``start``, ``start + spacing``, ...
 
@@ -194,7 +197,10 @@ def interpolate(
 
 
 def _between(
-    samples: int, s: Numeric, start: Numeric, spacing: float
+    samples: int,
+    s: Numeric,
+    start: Numeric,
+    spacing: float,
 ) -> tuple[Int[Array, "..."] | np.integer, Numbers]:
     """Return the number of the sample before s, and the share of the way onwards."""
     xp = namespace(s)

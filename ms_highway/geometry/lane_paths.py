@@ -210,7 +210,10 @@ def join_lanes(
 
 
 def _sampled(
-    lanes: Sequence[AbstractLane], starts: Sequence[float], low: float, high: float
+    lanes: Sequence[AbstractLane],
+    starts: Sequence[float],
+    low: float,
+    high: float,
 ) -> list[tuple[Row, Points, Row]]:
     """Return ways, positions and headings along each lane between two ways.
 
@@ -238,7 +241,9 @@ def _sampled(
 
 
 def _bridged(
-    ways: Row, points: Points, headings: Row
+    ways: Row,
+    points: Points,
+    headings: Row,
 ) -> Float[np.ndarray, "rows bridged"]:
     """Return rows of x, y and way, evenly spaced along a Hermite spline."""
     spacing = LANE_PATHS.spacing

@@ -106,7 +106,9 @@ def _identity(group: str, track: RecordedTrack) -> TrackIdentity:
 
 
 def _lane_states(
-    tracks: Sequence[RecordedTrack], axes: Axes, curve: Curve
+    tracks: Sequence[RecordedTrack],
+    axes: Axes,
+    curve: Curve,
 ) -> Float[np.ndarray, "times cars 4"]:
     """Return the states of all tracks along and across a lane, NaN where not seen."""
     times = 1 + max(track.last for track in tracks)

@@ -95,7 +95,11 @@ def record(
 
 
 def _check_request(
-    driver: str, episodes: int, densities: Sequence[str], seed: int, temperature: float
+    driver: str,
+    episodes: int,
+    densities: Sequence[str],
+    seed: int,
+    temperature: float,
 ) -> None:
     """Check what `record` is asked for.
 
@@ -120,7 +124,10 @@ def _check_request(
 
 
 def _settings(
-    driver: str, densities: Sequence[str], seed: int, temperature: float
+    driver: str,
+    densities: Sequence[str],
+    seed: int,
+    temperature: float,
 ) -> Settings:
     """Return the settings that all episodes of a data set share."""
     settings: Settings = {
@@ -170,7 +177,11 @@ def _keyboard_options() -> dict[str, Any]:
 
 
 def _drive(
-    env: gym.Env, driver: str, seed: int, density: str, temperature: float
+    env: gym.Env,
+    driver: str,
+    seed: int,
+    density: str,
+    temperature: float,
 ) -> "EpisodeBuffer":
     """Let a driver drive an episode."""
     from minari.data_collector import EpisodeBuffer
@@ -198,7 +209,10 @@ def _drive(
 
 
 def actions(
-    driver: str, env: DemonstrationEnv, seed: int, temperature: float = TEMPERATURE
+    driver: str,
+    env: DemonstrationEnv,
+    seed: int,
+    temperature: float = TEMPERATURE,
 ) -> Iterator[np.ndarray]:
     """Yield a driver's actions in an episode that has just begun.
 
@@ -357,7 +371,10 @@ def _append(episode: "EpisodeBuffer", data: Path) -> None:
 
 
 def _create(
-    episode: "EpisodeBuffer", env: gym.Env, dataset: str, settings: Settings
+    episode: "EpisodeBuffer",
+    env: gym.Env,
+    dataset: str,
+    settings: Settings,
 ) -> None:
     """Make a data set with its first episode."""
     import minari

@@ -168,7 +168,11 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
 
 @jax.jit
 def maxent(
-    game: Game, car: States, others: Motion, key: jax.Array, temperature: Scalar
+    game: Game,
+    car: States,
+    others: Motion,
+    key: jax.Array,
+    temperature: Scalar,
 ) -> Controls:
     """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum
     u*, within the limits.

@@ -60,7 +60,10 @@ def lane_numbers(lanes: Float[Array, "lanes"], y: Cars) -> Sides:
 
 
 def leader_of(
-    snapshot: Snapshots, states: States, others: States, lane: Cars
+    snapshot: Snapshots,
+    states: States,
+    others: States,
+    lane: Cars,
 ) -> Leader:
     """Return the nearest of the others ahead of each car, in the lane around a lateral
     position for each.

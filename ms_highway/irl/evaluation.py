@@ -245,7 +245,8 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
 
 
 def metrics_by_regime(
-    errors: Mapping[str, Errors], regimes: Mapping[str, Flags]
+    errors: Mapping[str, Errors],
+    regimes: Mapping[str, Flags],
 ) -> Situations:
     """Return the mean distance and log density by regime, predictor and horizon, see
     `Evaluation.situations`.

@@ -183,7 +183,9 @@ def _snapshot(
 
 
 def _covariances(
-    spread: Spread, modes: int, steps: int
+    spread: Spread,
+    modes: int,
+    steps: int,
 ) -> Float[np.ndarray, "modes times 2 2"]:
     """Return the covariances of normal distributions with the same region of 50 %
     probability as the Student t distributions of a spread [m^2].

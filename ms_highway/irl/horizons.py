@@ -40,7 +40,9 @@ HORIZONS = PredictionHorizons()
 
 
 def robust_errors(
-    paths: CarStates, future: CarStates, chosen: CarFlags
+    paths: CarStates,
+    future: CarStates,
+    chosen: CarFlags,
 ) -> tuple[CarStates, CarFlags]:
     """Return robust errors along and across the road at each horizon, for fits.
 

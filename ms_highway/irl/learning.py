@@ -160,7 +160,9 @@ def _fit(data: SegmentData, model: RewardModel, real: bool) -> Fit:
 
 
 def _without_steady(
-    data: SegmentData, recordings: Sequence[Recording], error: DivergenceError
+    data: SegmentData,
+    recordings: Sequence[Recording],
+    error: DivergenceError,
 ) -> tuple[SegmentData, dict[str, str]]:
     """Leave out segments in which the speed or the heading does not change at all.
 
@@ -208,7 +210,10 @@ def _without_steady(
 
 
 def _cross_validate(
-    data: SegmentData, found: Fit, validations: int, progress: Progress
+    data: SegmentData,
+    found: Fit,
+    validations: int,
+    progress: Progress,
 ) -> float | None:
     """Return the mean log likelihood of segments that were not learned from.
 
@@ -233,7 +238,9 @@ def _cross_validate(
 
 
 def _provenance(
-    recordings: Sequence[Recording], source: str, left_out: Mapping[str, str]
+    recordings: Sequence[Recording],
+    source: str,
+    left_out: Mapping[str, str],
 ) -> dict[str, object]:
     """Return where a learned reward comes from."""
     packages = ("ms-highway", "jax", "numpy", "scipy")

@@ -335,7 +335,9 @@ class FitData(NamedTuple):
 
 
 def _minimum(
-    first: Parameters, data: FitData, model: RewardModel
+    first: Parameters,
+    data: FitData,
+    model: RewardModel,
 ) -> tuple[Parameters, int]:
     """Return the logarithms at which the loss is least, and the number of iterations.
 
@@ -373,7 +375,10 @@ def _parameter_names(model: RewardModel) -> list[str]:
 
 
 def _checked_curvature(
-    logarithms: Parameters, first: Parameters, data: FitData, model: RewardModel
+    logarithms: Parameters,
+    first: Parameters,
+    data: FitData,
+    model: RewardModel,
 ) -> np.ndarray:
     """Return the Hessian of the loss.
 

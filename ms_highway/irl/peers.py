@@ -141,7 +141,9 @@ def check_peers(learned: LearnedDrivers) -> None:
 
 
 def predict_peer(
-    name: str, snapshots: Snapshots, parameters: Mapping[str, float]
+    name: str,
+    snapshots: Snapshots,
+    parameters: Mapping[str, float],
 ) -> Modes:
     """Predict the drivers of snapshots by a peer: the path of each is its only mode.
 

@@ -36,7 +36,9 @@ PREDICTORS = {"model": "learned drivers", **PEER_PREDICTORS}
 
 
 def predict_with(
-    name: str, snapshots: Snapshots, learned: LearnedDrivers | None
+    name: str,
+    snapshots: Snapshots,
+    learned: LearnedDrivers | None,
 ) -> Mixture:
     """Predict the drivers of snapshots by one of `PREDICTORS`.
 

@@ -113,7 +113,8 @@ def sources(recordings: Sequence[Recording]) -> dict[str, list[str]]:
 
 
 def known_from(
-    recordings: Sequence[Recording], learned_from: Mapping[str, Sequence[str]]
+    recordings: Sequence[Recording],
+    learned_from: Mapping[str, Sequence[str]],
 ) -> list[Recording]:
     """Return the recordings that may share drivers with those learned from.
 

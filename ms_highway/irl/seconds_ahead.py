@@ -129,7 +129,9 @@ DRIVER_FIT = DriverFit()
 
 
 def learn_drivers(
-    snapshots: Snapshots, intervals: bool = True, progress: Progress = silent
+    snapshots: Snapshots,
+    intervals: bool = True,
+    progress: Progress = silent,
 ) -> LearnedDrivers:
     """Learn drivers seconds ahead, and fit all peers.
 
@@ -178,7 +180,10 @@ def learn_drivers(
 
 
 def _held_out(
-    snapshots: Snapshots, progress: Progress, logarithms: Parameters, drivers: Drivers
+    snapshots: Snapshots,
+    progress: Progress,
+    logarithms: Parameters,
+    drivers: Drivers,
 ) -> list[tuple[Snapshots, Drivers]]:
     """Return the snapshots of each fold, with drivers learned from the others.
 
@@ -209,7 +214,10 @@ def _held_out(
 
 
 def _fit_drivers(
-    snapshots: Snapshots, progress: Progress, first: Parameters, iterations: int
+    snapshots: Snapshots,
+    progress: Progress,
+    first: Parameters,
+    iterations: int,
 ) -> tuple[Parameters, Drivers]:
     """Return the logarithms of the drivers that come closest, and these drivers.
 

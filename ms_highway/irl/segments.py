@@ -157,7 +157,9 @@ def regular(segments: Segments) -> Flags:
 
 
 def driver_game(
-    segments: Segments, weights: Mapping[str, float], names: Sequence[str] = ()
+    segments: Segments,
+    weights: Mapping[str, float],
+    names: Sequence[str] = (),
 ) -> Game:
     """Return a game whose robot is a recorded driver with these weights.
 
@@ -182,7 +184,9 @@ def with_segment(game: Game, segment: Segments) -> Game:
 
 
 def summed_features(
-    game: Game, segment: Segments, controls: Controls
+    game: Game,
+    segment: Segments,
+    controls: Controls,
 ) -> Float[jax.Array, "features"]:
     """Return the features of the game and of comfort, summed over a segment.
 

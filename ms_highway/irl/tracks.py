@@ -127,7 +127,9 @@ def _fit_along(recorded: Values, cosine: Values) -> tuple[float, Values]:
 
 
 def _fit_across(
-    recorded: Values, speed: Values, sine_per_heading: Values
+    recorded: Values,
+    speed: Values,
+    sine_per_heading: Values,
 ) -> tuple[float, Values]:
     """Return the initial y and the headings that fit recorded places across the road.
 
@@ -166,7 +168,9 @@ def _cumulative(increments: np.ndarray) -> np.ndarray:
 
 
 def _least_squares(
-    positions: np.ndarray, recorded: Values, *penalties: np.ndarray
+    positions: np.ndarray,
+    recorded: Values,
+    *penalties: np.ndarray,
 ) -> Values:
     """Return the unknowns that fit recorded positions best, with penalties.
 

@@ -180,7 +180,10 @@ def begin_episodes(loop: Loop, starts: Float[Array, "episodes cars 4"]) -> Episo
 
 
 def step_episodes(
-    loop: Loop, episodes: Episodes, carry: EpisodeCarry, inputs: StepInputs
+    loop: Loop,
+    episodes: Episodes,
+    carry: EpisodeCarry,
+    inputs: StepInputs,
 ) -> tuple[EpisodeCarry, Records]:
     """Advance a chunk of episodes by one step."""
     # A step needs neither the start nor the schedule of an episode.
@@ -192,7 +195,10 @@ def step_episodes(
 
 
 def _step(
-    loop: Loop, episode: Episodes, carry: EpisodeCarry, inputs: StepInputs
+    loop: Loop,
+    episode: Episodes,
+    carry: EpisodeCarry,
+    inputs: StepInputs,
 ) -> tuple[EpisodeCarry, Records]:
     """Advance an episode by one step.
 
@@ -273,7 +279,10 @@ Result = TypeVar("Result")
 
 
 def _where_needed(
-    loop: Loop, needed: Flag, function: Callable[[], Result], otherwise: Result
+    loop: Loop,
+    needed: Flag,
+    function: Callable[[], Result],
+    otherwise: Result,
 ) -> Result:
     """Compute a function if some episode of the chunk needs it.
 
@@ -285,7 +294,11 @@ def _where_needed(
 
 
 def _plan(
-    loop: Loop, game: Game, state: State, choice: GameChoice, last: RemainingPlan[Plan]
+    loop: Loop,
+    game: Game,
+    state: State,
+    choice: GameChoice,
+    last: RemainingPlan[Plan],
 ) -> GamePlan:
     """Plan for an episode.
 
@@ -311,7 +324,10 @@ def _plan(
 
 
 def _steer(
-    loop: Loop, episode: Episodes, carry: EpisodeCarry, control: Control
+    loop: Loop,
+    episode: Episodes,
+    carry: EpisodeCarry,
+    control: Control,
 ) -> tuple[EpisodeCarry, Records]:
     """Let the robot execute a control, and the world move; reward the robot."""
     humans = loop.game.number
@@ -372,7 +388,9 @@ def _move_world(
 
 
 def _drive_humans(
-    loop: Loop, episode: Episodes, carry: EpisodeCarry
+    loop: Loop,
+    episode: Episodes,
+    carry: EpisodeCarry,
 ) -> tuple[HumansControl, RemainingPlan[Plan]]:
     """Return the humans' controls, not scaled, and the plans to fall back on next.
 

@@ -212,7 +212,8 @@ def check_driver(name: str, driver: object) -> None:
 
 
 def _check_memory(
-    place: str, driver: RememberingDriver | type[RememberingDriver]
+    place: str,
+    driver: RememberingDriver | type[RememberingDriver],
 ) -> None:
     """Check that a driver with a memory can begin an episode.
 
@@ -271,7 +272,11 @@ class FunctionDriver:
     )
 
     def __init__(
-        self, game: Game, name: str, driver: HumanDriver, key: int = 0
+        self,
+        game: Game,
+        name: str,
+        driver: HumanDriver,
+        key: int = 0,
     ) -> None:
         self.game = game
         self.name = name
@@ -376,7 +381,9 @@ YIELDING = YieldingSettings()
 
 
 def unmoved_control(
-    game: Game, state: Float[SameArray, "cars 4"], yields: bool | Bool[SameArray, ""]
+    game: Game,
+    state: Float[SameArray, "cars 4"],
+    yields: bool | Bool[SameArray, ""],
 ) -> Float[SameArray, "2"]:
     """Return the control, not scaled, of car 0, which always yields to car 1, or never.
 

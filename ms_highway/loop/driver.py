@@ -270,7 +270,10 @@ class Driver:
         return choice
 
     def _plan(
-        self, now: State, choice: GameChoice, last: RemainingPlan[Plan]
+        self,
+        now: State,
+        choice: GameChoice,
+        last: RemainingPlan[Plan],
     ) -> GamePlan:
         """Plan with the models of a choice; see `ms_highway.loop.step.Parts`."""
         start = plan_start(self._rule.ladder, self._game, now, choice.rungs, last)

@@ -293,7 +293,9 @@ Result = TypeVar("Result")
 
 
 def branch(
-    flag: Flag | bool, then: Callable[[], Result], otherwise: Callable[[], Result]
+    flag: Flag | bool,
+    then: Callable[[], Result],
+    otherwise: Callable[[], Result],
 ) -> Result:
     """Return one of two results; for a flag of JAX, select each of their numbers.
 

@@ -213,7 +213,9 @@ def until_still(
 
         # A whole step ends exactly after it.
         def partial_step(
-            old: jax.Array, new: jax.Array, difference: jax.Array
+            old: jax.Array,
+            new: jax.Array,
+            difference: jax.Array,
         ) -> jax.Array:
             return jnp.where(part < 1, old + part * difference, new)
 

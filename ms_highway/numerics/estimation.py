@@ -40,7 +40,9 @@ def minimum(
 
 
 def slope_differences(
-    slope: Callable[[Parameters], Parameters], parameters: Parameters, step: float
+    slope: Callable[[Parameters], Parameters],
+    parameters: Parameters,
+    step: float,
 ) -> Matrix:
     """Return second derivatives by central differences of a slope.
 

@@ -69,7 +69,10 @@ class Objective(NamedTuple):
         return second_order_expansion(self.path, controls, slope, bends, self.cost)
 
     def search_line(
-        self, controls: Controls, step: Controls, shares: Float[Array, "shares"]
+        self,
+        controls: Controls,
+        step: Controls,
+        shares: Float[Array, "shares"],
     ) -> tuple[ManyControls, Float[Array, "shares"]]:
         """Return controls after shares of a step, limited, and what they earn."""
         candidates = self.bounded(controls + shares[:, None, None] * step)

@@ -38,7 +38,8 @@ class Expansion(NamedTuple):
 
 
 def trajectory_jacobian(
-    path: Callable[[Controls], Trajectory], controls: Controls
+    path: Callable[[Controls], Trajectory],
+    controls: Controls,
 ) -> Float[jax.Array, "fields steps n"]:
     """Return the derivative of a trajectory in its n ravelled controls."""
     return jax.jacfwd(lambda point: path(point.reshape(-1, 2)))(controls.ravel())
@@ -107,7 +108,8 @@ def second_order_expansion(
 
 
 def along_fields(
-    function: Callable[[jax.Array], Result], steps: jax.Array
+    function: Callable[[jax.Array], Result],
+    steps: jax.Array,
 ) -> tuple[Result, Result]:
     """Return a function of trajectories and its derivatives in each field.
 
@@ -125,7 +127,9 @@ def along_fields(
 
 
 def response(
-    influence: Influence, hessian: Matrix, vector: Float[jax.Array, "n *columns"]
+    influence: Influence,
+    hessian: Matrix,
+    vector: Float[jax.Array, "n *columns"],
 ) -> Float[jax.Array, "n *columns"]:
     """Compute ``-H^-1 vector``, how an optimum moves if the gradient changes.
 
@@ -154,7 +158,8 @@ def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
 
 @jax.custom_jvp
 def floored(
-    symmetric: Float[jax.Array, "d d"], floor: Scalar
+    symmetric: Float[jax.Array, "d d"],
+    floor: Scalar,
 ) -> Float[jax.Array, "d d"]:
     """Return a symmetric matrix with its eigenvalues below a floor set to the floor.
 
@@ -168,7 +173,8 @@ def floored(
 
 @floored.defjvp
 def _floored_jvp(
-    primals: tuple[jax.Array, jax.Array], tangents: tuple[jax.Array, jax.Array]
+    primals: tuple[jax.Array, jax.Array],
+    tangents: tuple[jax.Array, jax.Array],
 ) -> tuple[jax.Array, jax.Array]:
     symmetric, floor = primals
     change, floor_change = tangents

@@ -115,7 +115,10 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
 
 
 def _measure(
-    curve: Curve, here: slice, section: Section, width: float
+    curve: Curve,
+    here: slice,
+    section: Section,
+    width: float,
 ) -> tuple[Rows, Bool[np.ndarray, "lanes samples"]]:
     """Measure the lanes and the edges of the road in a section of a route.
 

@@ -132,7 +132,10 @@ class RoutePosition(NamedTuple):
 
 
 def _pose_on(
-    around: Corridor, rear: Point, vehicle: Vehicle, way: float
+    around: Corridor,
+    rear: Point,
+    vehicle: Vehicle,
+    way: float,
 ) -> tuple[float, float, float]:
     """Return s, d and the relative heading of the rear axle on the curve of a route."""
     heading = np.array([vehicle.heading], dtype=float)
@@ -142,7 +145,10 @@ def _pose_on(
 
 
 def _continued(
-    vehicle: Vehicle, rear: Point, goal: Goal, memory: Memory
+    vehicle: Vehicle,
+    rear: Point,
+    goal: Goal,
+    memory: Memory,
 ) -> RoutePosition | None:
     """Return the position on the lanes that the robot has followed so far.
 

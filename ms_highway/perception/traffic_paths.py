@@ -103,7 +103,10 @@ and its lanes.
 
 
 def traffic_of(
-    vehicle: Vehicle, roads: RoadMap, numbers: dict[RoadObject, int], intentions: bool
+    vehicle: Vehicle,
+    roads: RoadMap,
+    numbers: dict[RoadObject, int],
+    intentions: bool,
 ) -> TrafficFields:
     """Return the fields of a ``RoadScene`` that describe others, nearest first.
 
@@ -189,7 +192,10 @@ def _follow_lanes(
 
 
 def _go_straight_on(
-    ways: list[Way], along: Row, knots: np.ndarray, limits: np.ndarray
+    ways: list[Way],
+    along: Row,
+    knots: np.ndarray,
+    limits: np.ndarray,
 ) -> None:
     """Fill in the paths and speed limits of those that follow no lane.
 

@@ -107,7 +107,11 @@ def plan_for(
 
 
 def _plan_for_one(
-    model: HumanModel, game: Game, state: State, begin: Plan, expected: HumansControls
+    model: HumanModel,
+    game: Game,
+    state: State,
+    begin: Plan,
+    expected: HumansControls,
 ) -> Solution:
     """Plan with the same model for all humans, known before the call.
 
@@ -198,7 +202,9 @@ def _with_own_starts(
 
 
 def assigned_responders(
-    models: tuple[HumanModel, ...], game: Game, rungs: Rungs
+    models: tuple[HumanModel, ...],
+    game: Game,
+    rungs: Rungs,
 ) -> AssignedResponders:
     """Return the responding humans under an assignment, and the steps of all cars.
 
@@ -263,7 +269,10 @@ class CompiledPlans:
         self._placed = Placed(single(game))
 
     def plan(
-        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
+        self,
+        state: State,
+        rungs: Rungs | Sequence[int],
+        start: Plan | None = None,
     ) -> tuple[Solution, float]:
         """Return the solution, as NumPy arrays, and the seconds that it took.
 
@@ -278,7 +287,10 @@ class CompiledPlans:
         return jax.tree.map(np.asarray, solution), seconds
 
     def call(
-        self, state: State, rungs: Rungs | Sequence[int], start: Plan | None = None
+        self,
+        state: State,
+        rungs: Rungs | Sequence[int],
+        start: Plan | None = None,
     ) -> tuple:
         """Return the compiled `plan_function` of a plan, and its arguments."""
         # Plans that may continue have one program, which takes a start in any case.

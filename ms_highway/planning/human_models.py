@@ -249,7 +249,10 @@ def is_of_package(model: HumanModel) -> bool:
 
 
 def scaled_prediction(
-    model: HumanModel, game: Game, state: State, start: Plan | None = None
+    model: HumanModel,
+    game: Game,
+    state: State,
+    start: Plan | None = None,
 ) -> Controls:
     """Return a model's prediction, scaled.
 

@@ -64,7 +64,10 @@ from ms_highway.runtime.arrays import (
 
 
 def plan_against(
-    game: Game, state: State, humans: HumansControls, start: Plan
+    game: Game,
+    state: State,
+    humans: HumansControls,
+    start: Plan,
 ) -> Solution:
     """Optimise the robot's controls, from a start, against fixed controls of humans."""
     nobody = KnownResponders(())
@@ -106,7 +109,8 @@ def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
         return plan.robot
 
     def step_jointly(
-        step: Index, now: tuple[Plan, Trajectories]
+        step: Index,
+        now: tuple[Plan, Trajectories],
     ) -> tuple[Plan, Trajectories]:
         plan, others = now
         return _take_step(interaction, step, plan, others)
@@ -121,7 +125,10 @@ def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
 
 
 def _take_step(
-    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+    interaction: Interaction,
+    step: Index,
+    plan: Plan,
+    others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
     """Take a step of the planner's solver.
 
@@ -140,7 +147,10 @@ def _take_step(
 
 
 def _gradient_step(
-    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+    interaction: Interaction,
+    step: Index,
+    plan: Plan,
+    others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
     """Take a gradient step of the robot and of the humans who respond."""
     game = interaction.game
@@ -154,7 +164,8 @@ def _gradient_step(
 
     # The humans' own steps, and what the robot earns through their responses.
     def respond(
-        human: Index, now: tuple[Trajectory, jax.Array, Trajectories]
+        human: Index,
+        now: tuple[Trajectory, jax.Array, Trajectories],
     ) -> tuple[Trajectory, jax.Array, Trajectories]:
         slope, humans, paths = now
         around = trajectories_around(human, path, others)

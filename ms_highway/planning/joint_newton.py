@@ -86,7 +86,10 @@ class WholeStep(NamedTuple):
 
 
 def newton_step(
-    interaction: Interaction, step: Index, plan: Plan, others: Trajectories
+    interaction: Interaction,
+    step: Index,
+    plan: Plan,
+    others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
     """Take a Newton step of the robot and of the humans who respond.
 
@@ -151,7 +154,10 @@ def _no_responses(game: Game, point: Point) -> Responses:
 
 
 def _respond(
-    interaction: Interaction, point: Point, human: Index, responses: Responses
+    interaction: Interaction,
+    point: Point,
+    human: Index,
+    responses: Responses,
 ) -> Responses:
     """Take a human's own step, and add what the robot earns through its response.
 
@@ -220,7 +226,8 @@ def _humans_after(
     game = interaction.game
 
     def put(
-        human: Index, now: tuple[jax.Array, Trajectories]
+        human: Index,
+        now: tuple[jax.Array, Trajectories],
     ) -> tuple[jax.Array, Trajectories]:
         humans, paths = now
         car = interaction.state[1 + human]

@@ -51,7 +51,10 @@ HELD_CONTROL = HeldControl()
 
 
 def held_acceleration(
-    weights: Mapping[str, Numeric], traits: RewardTraits, speed: AnyCars, leader: Leader
+    weights: Mapping[str, Numeric],
+    traits: RewardTraits,
+    speed: AnyCars,
+    leader: Leader,
 ) -> AnyCars:
     """Return the best acceleration to hold, from -8 to 4 m/s^2 (`CAR_LIMITS`).
 
@@ -108,7 +111,10 @@ def held_acceleration(
 
 
 def held_curvature(
-    weights: Mapping[str, Numeric], offset: AnyCars, heading: AnyCars, speed: AnyCars
+    weights: Mapping[str, Numeric],
+    offset: AnyCars,
+    heading: AnyCars,
+    speed: AnyCars,
 ) -> AnyCars:
     """Return the best curvature to hold, at most 0.02 1/m to each side.
 

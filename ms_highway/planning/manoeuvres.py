@@ -71,7 +71,10 @@ class Manoeuvres(NamedTuple):
 
 
 def manoeuvres(
-    game: Game, car: Car, steps: int, accelerations: Sequence[float]
+    game: Game,
+    car: Car,
+    steps: int,
+    accelerations: Sequence[float],
 ) -> Manoeuvres:
     """Let a car go to the middle of each lane at each acceleration.
 
@@ -177,7 +180,11 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
 
 
 def _into_gap(
-    game: Game, car: Car, length: Scalar, own_lane: Scalar, gap: _Gap
+    game: Game,
+    car: Car,
+    length: Scalar,
+    own_lane: Scalar,
+    gap: _Gap,
 ) -> Control:
     """Return the control, not scaled, towards a gap, and into it once beside its place.
 

@@ -55,7 +55,10 @@ class KnownResponders:
         return len(self.order)
 
     def fold(
-        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+        self,
+        count: Index,
+        function: Callable[[Index, Carry], Carry],
+        carry: Carry,
     ) -> Carry:
         """Apply a function to the number of every human who responds, one by one.
 
@@ -110,7 +113,10 @@ class AssignedResponders:
         return jnp.sum(self.steps > step)
 
     def fold(
-        self, count: Index, function: Callable[[Index, Carry], Carry], carry: Carry
+        self,
+        count: Index,
+        function: Callable[[Index, Carry], Carry],
+        carry: Carry,
     ) -> Carry:
         """See `KnownResponders.fold`."""
         return _fold(self.order, count, function, carry)

@@ -15,7 +15,9 @@ from ms_highway.runtime.arrays import Index, Trajectories, Trajectory, Vector
 
 
 def trajectories_around(
-    human: Index, robot: Trajectory, others: Trajectories
+    human: Index,
+    robot: Trajectory,
+    others: Trajectories,
 ) -> Trajectories:
     """Return the trajectories of all others from a human's side, the robot's first.
 
@@ -43,7 +45,8 @@ def slope_change(coupling: Bends, change: Trajectory) -> Trajectory:
 
 
 def in_controls(
-    slope: Trajectory, jacobian: Float[jax.Array, "fields steps n"]
+    slope: Trajectory,
+    jacobian: Float[jax.Array, "fields steps n"],
 ) -> Float[jax.Array, "n"]:
     """Return the slope in n ravelled controls, ``S^T slope``, by the chain rule.
 
@@ -55,7 +58,9 @@ def in_controls(
 
 
 def slope_through(
-    jacobian: Float[jax.Array, "fields steps n"], answer: Vector, coupling: Bends
+    jacobian: Float[jax.Array, "fields steps n"],
+    answer: Vector,
+    coupling: Bends,
 ) -> Trajectory:
     """Return the slope of R_R in s_R through a human: ``B_i^T S_i (-H_i^-1 g_i)``.
 

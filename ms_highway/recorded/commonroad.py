@@ -254,7 +254,9 @@ def _speed_limits(_: int, sign: Element) -> list[float]:
 
 
 def _lanelet(
-    number: int, element: Element, limits: Mapping[int, list[float]]
+    number: int,
+    element: Element,
+    limits: Mapping[int, list[float]],
 ) -> Lanelet:
     """Return a lanelet, given the speed limits that each traffic sign shows."""
     left = points_at(element, "leftBound/point")
@@ -324,7 +326,10 @@ def _standing_track(number: int, obstacle: Element, last: int) -> RecordedTrack:
 
 
 def _track_of_box(
-    number: int, obstacle: Element, samples: np.ndarray, drives: bool
+    number: int,
+    obstacle: Element,
+    samples: np.ndarray,
+    drives: bool,
 ) -> RecordedTrack:
     """Return the track of the box around the shapes of an obstacle.
 

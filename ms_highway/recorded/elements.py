@@ -38,7 +38,9 @@ LARGEST_NUMBERS = LargestNumbers()
 
 
 def read_each(
-    root: Element, tag: str, read: Callable[[int, Element], Read]
+    root: Element,
+    tag: str,
+    read: Callable[[int, Element], Read],
 ) -> dict[int, Read]:
     """Return what ``read`` makes of each element with a tag, by the elements' ids.
 

@@ -179,7 +179,11 @@ class RecordedEnv(ConfiguredEnv, GoalEnv):
         self._along = float(road.states[ego][0])
 
     def _check_on_lane(
-        self, task: Problem, straight: StraightRoad, position: Points, heading: float
+        self,
+        task: Problem,
+        straight: StraightRoad,
+        position: Points,
+        heading: float,
     ) -> None:
         """Raise an error unless there is a lane under the start of a problem."""
         index = straight.network.get_closest_lane_index(position, heading)

@@ -169,7 +169,9 @@ class LaneletNetwork(RoadNetwork):
         return np.concatenate(centres), np.cumsum([0, *numbers])
 
     def get_closest_lane_index(
-        self, position: np.ndarray, heading: float | None = None
+        self,
+        position: np.ndarray,
+        heading: float | None = None,
     ) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
@@ -310,7 +312,10 @@ def _lane(
 
 
 def _lane_along(
-    curve: Curve, lanelet: Lanelet, axes: Axes, edges: Sequence[int]
+    curve: Curve,
+    lanelet: Lanelet,
+    axes: Axes,
+    edges: Sequence[int],
 ) -> SampledLane:
     """Return the lane of a lanelet along a curve of the map."""
     # Even places on the part of the curve that belongs to the lanelet.

@@ -126,7 +126,9 @@ def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
 
 
 def _check_start_is_free(
-    scenario: TrafficRecording, problem: Problem, ego: str | int
+    scenario: TrafficRecording,
+    problem: Problem,
+    ego: str | int,
 ) -> None:
     """Raise an error for an obstacle with which the ego would collide at once."""
     for track, pose in _seen(scenario, problem.time):
@@ -140,7 +142,8 @@ def _check_start_is_free(
 
 
 def _seen(
-    scenario: TrafficRecording, step: int
+    scenario: TrafficRecording,
+    step: int,
 ) -> Iterator[tuple[RecordedTrack, Pose]]:
     """Yield the tracks that were seen at a step, with x, y and orientation there."""
     for track in scenario.tracks:

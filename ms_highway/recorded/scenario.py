@@ -105,7 +105,11 @@ class GoalRegion(msgspec.Struct, frozen=True):
         return first + (last - first) % tau / 2
 
     def is_reached(
-        self, step: int, point: Point, orientation: float, speed: float
+        self,
+        step: int,
+        point: Point,
+        orientation: float,
+        speed: float,
     ) -> bool:
         """Return whether an ego with its middle at a point reaches the goal."""
         return (
@@ -160,7 +164,11 @@ class Problem(msgspec.Struct, frozen=True):
         return max(goal.times[1] for goal in self.goals)
 
     def is_reached(
-        self, step: int, point: Point, orientation: float, speed: float
+        self,
+        step: int,
+        point: Point,
+        orientation: float,
+        speed: float,
     ) -> bool:
         """Return whether an ego with its middle at a point reaches one of the goals."""
         return any(

@@ -158,7 +158,10 @@ def _place_lanes(lanes: list[Lane]) -> dict[Lane, LanePlace]:
 
 
 def _place_connected(
-    first: Lane, place: LanePlace, lanes: list[Lane], places: dict[Lane, LanePlace]
+    first: Lane,
+    place: LanePlace,
+    lanes: list[Lane],
+    places: dict[Lane, LanePlace],
 ) -> None:
     """Add the places of a lane and of all that are connected with it, nearest first."""
     queue = deque([(first, place)])

@@ -188,7 +188,9 @@ class RecordedRoad(Road):
         return self._states
 
     def neighbour_vehicles(
-        self, vehicle: Vehicle, lane_index: LaneIndex | None = None
+        self,
+        vehicle: Vehicle,
+        lane_index: LaneIndex | None = None,
     ) -> tuple[Vehicle | None, Vehicle | None]:
         """Return the nearest vehicles ahead and behind in a lane, None without one.
 

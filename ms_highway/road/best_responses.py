@@ -196,7 +196,11 @@ class Commuter:
 
 
 def commuter_among(
-    scene: RoadScene, planning: RoadPlanning, i: Index, robot: World, others: World
+    scene: RoadScene,
+    planning: RoadPlanning,
+    i: Index,
+    robot: World,
+    others: World,
 ) -> Commuter:
     """Return other car i as a commuter among the robot and the nearest others.
 

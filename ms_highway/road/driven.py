@@ -150,7 +150,9 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
     """
 
     def __init__(
-        self, env: gym.Env, config: Mapping[str, object] | None = None
+        self,
+        env: gym.Env,
+        config: Mapping[str, object] | None = None,
     ) -> None:
         RecordConstructorArgs.__init__(self, config=as_json(config))
         gym.Wrapper.__init__(self, env)
@@ -160,7 +162,10 @@ class Driven(gym.Wrapper, RecordConstructorArgs):
         show(env)
 
     def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Observation, Info]:
         """Start an episode, and replace every controlled vehicle by a robot.
 
@@ -359,7 +364,8 @@ def executed_action(action_type: ActionType, robot: RoadRobot) -> np.ndarray | N
 
 
 def _nearest_in(
-    action_type: ContinuousAction, executed: Mapping[str, float]
+    action_type: ContinuousAction,
+    executed: Mapping[str, float],
 ) -> np.ndarray:
     """Return the continuous action that is nearest to what a vehicle executed.
 

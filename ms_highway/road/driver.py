@@ -287,7 +287,10 @@ class RoadDriver:
         return perf_counter() - self._started - self._proposing_seconds
 
     def _plan(
-        self, scene: RoadScene, choice: RoadChoice, last: RoadRemainder
+        self,
+        scene: RoadScene,
+        choice: RoadChoice,
+        last: RoadRemainder,
     ) -> NewRoadPlan:
         """Return the best proposal, after responses where a model says so."""
         look = choice.observation

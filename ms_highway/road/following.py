@@ -142,7 +142,10 @@ def lateral_positions(scene: RoadScene, times: Steps) -> EachStep:
 
 
 def traffic_motion(
-    situation: Situation, along: Traffic, across: Traffic, speed: Traffic
+    situation: Situation,
+    along: Traffic,
+    across: Traffic,
+    speed: Traffic,
 ) -> TrafficMotion:
     """Return the motion of others at positions on their paths.
 

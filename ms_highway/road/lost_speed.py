@@ -149,7 +149,9 @@ class NextCar(NamedTuple):
 
 
 def speed_lost(
-    situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
+    situation: Situation,
+    simulated: SimulatedPlans,
+    lanes: PlanLanes,
 ) -> LostSpeed:
     """Return the mean loss of speed after each plan, and who limits the speed first.
 
@@ -188,7 +190,9 @@ def speed_lost(
 
 
 def _values(
-    situation: Situation, simulated: SimulatedPlans, speed_step: Scalar
+    situation: Situation,
+    simulated: SimulatedPlans,
+    speed_step: Scalar,
 ) -> Table:
     """Return the value of each lane, place and speed at the end of a plan.
 
@@ -266,7 +270,9 @@ def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
 
 
 def _speed_loss(
-    situation: Situation, places: Float[Array, "places"], speed_step: Scalar
+    situation: Situation,
+    places: Float[Array, "places"],
+    speed_step: Scalar,
 ) -> Float[jax.Array, "places speeds"]:
     """Return how far each speed is below the highest at each place [steps of speed]."""
     fastest = situation.planning.desired_speed

@@ -157,7 +157,10 @@ def respond_road(proposed: Proposed, models: Places) -> RoadPlan:
 
 
 def _scored(
-    situation: Situation, behaviour: Behaviour, numbers: Places, plans: Profiles
+    situation: Situation,
+    behaviour: Behaviour,
+    numbers: Places,
+    plans: Profiles,
 ) -> ScoredPlans:
     """Simulate plans among others that behave in a given way, and score them."""
     simulated = simulate(situation, behaviour, plans)
@@ -188,7 +191,9 @@ def _best(followed: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
 
 
 def _best_responses(
-    situation: Situation, optimises: Flags, simulated: SimulatedPlans
+    situation: Situation,
+    optimises: Flags,
+    simulated: SimulatedPlans,
 ) -> EachStep:
     """Return the accelerations of others that optimise their reward.
 

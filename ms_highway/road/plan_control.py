@@ -111,7 +111,10 @@ def target_of(situation: Situation, plan: Profiles, s: Scalar) -> jax.Array:
 
 
 def plan_control(
-    situation: Situation, plan: Profiles, car: Car, traffic: TrafficMotion
+    situation: Situation,
+    plan: Profiles,
+    car: Car,
+    traffic: TrafficMotion,
 ) -> Control:
     """Return the robot's control in a step of a plan."""
     s, _, _, speed = car
@@ -206,7 +209,10 @@ def _curvature(situation: Situation, car: Car, goal: Scalar) -> Scalar:
 
 
 def _speed_cap(
-    situation: Situation, plan: Profiles, car: Car, traffic: TrafficMotion
+    situation: Situation,
+    plan: Profiles,
+    car: Car,
+    traffic: TrafficMotion,
 ) -> Scalar:
     """Return the highest speed from which the robot can still slow down [m/s].
 

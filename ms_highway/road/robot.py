@@ -46,7 +46,12 @@ def _slip_angle(curvature: float, length: float) -> float:
 
 
 def keep_grip(
-    wanted: Point, speed: float, before: complex, length: float, dt: float, grip: float
+    wanted: Point,
+    speed: float,
+    before: complex,
+    length: float,
+    dt: float,
+    grip: float,
 ) -> tuple[float, float]:
     """Limit a wanted control to the grip of the tyres in a frame.
 

@@ -29,7 +29,9 @@ GRIP_USE = GripUse()
 
 
 def limited_control(
-    planning: RoadPlanning, speed: Numbers, control: Control
+    planning: RoadPlanning,
+    speed: Numbers,
+    control: Control,
 ) -> Control:
     """Limit the control to what the car can do.
 
@@ -52,7 +54,10 @@ def limited_control(
 
 
 def advance(
-    scene: RoadScene, planning: RoadPlanning, state: Car, wanted: Control
+    scene: RoadScene,
+    planning: RoadPlanning,
+    state: Car,
+    wanted: Control,
 ) -> tuple[Car, Control]:
     """Return the state one time step later, and the control within the grip.
 

@@ -273,7 +273,9 @@ class Collisions(NamedTuple):
 
 
 def _collisions(
-    situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
+    situation: Situation,
+    simulated: SimulatedPlans,
+    lanes: PlanLanes,
 ) -> Collisions:
     """Return what the nearness of others costs, and which plans collide.
 
@@ -326,7 +328,9 @@ def _collisions(
 
 
 def _counts(
-    situation: Situation, simulated: SimulatedPlans, lanes: PlanLanes
+    situation: Situation,
+    simulated: SimulatedPlans,
+    lanes: PlanLanes,
 ) -> Bool[Array, "*plans traffic steps"]:
     """Return in which steps the robot is to blame for touching each of the others.
 
@@ -364,7 +368,9 @@ def _imposed_braking(situation: Situation, simulated: SimulatedPlans) -> EachSte
 
 
 def _relative_speed(
-    simulated: SimulatedPlans, own_heading: Numbers, other_heading: Numbers
+    simulated: SimulatedPlans,
+    own_heading: Numbers,
+    other_heading: Numbers,
 ) -> EachStep:
     """Return the speed of others relative to the robot [m/s].
 

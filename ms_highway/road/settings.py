@@ -234,7 +234,9 @@ class RoadSettings(Struct, frozen=True):
         )
 
     def build(
-        self, planning: RoadPlanning, random: np.random.Generator | None = None
+        self,
+        planning: RoadPlanning,
+        random: np.random.Generator | None = None,
     ) -> RoadDriver | AddedRoadDriver:
         """Return a driver with these limits and wishes.
 

@@ -69,7 +69,9 @@ class StepRecord(NamedTuple):
 
 
 def simulate(
-    situation: Situation, behaviour: Behaviour, plans: Profiles
+    situation: Situation,
+    behaviour: Behaviour,
+    plans: Profiles,
 ) -> SimulatedPlans:
     """Simulate plans among others that respond to each of them."""
     scene = situation.scene

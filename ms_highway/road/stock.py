@@ -124,7 +124,9 @@ COPIED_ATTRIBUTES = (
 
 
 def replace_ego(
-    env: gym.Env, make: Callable[[Vehicle], Vehicle], number: int = 0
+    env: gym.Env,
+    make: Callable[[Vehicle], Vehicle],
+    number: int = 0,
 ) -> Vehicle:
     """Replace a controlled vehicle by another one.
 

@@ -35,7 +35,9 @@ STOPPING_ROOM = StoppingRoom()
 
 
 def missing_room(
-    situation: Situation, simulated: SimulatedPlans, target: Plans
+    situation: Situation,
+    simulated: SimulatedPlans,
+    target: Plans,
 ) -> EachCar:
     """Return the distance that each plan lacks to each car ahead [m].
 
@@ -80,7 +82,9 @@ def _missing_within(situation: Situation, simulated: SimulatedPlans) -> EachCar:
 
 
 def _missing_after(
-    situation: Situation, simulated: SimulatedPlans, target: Plans
+    situation: Situation,
+    simulated: SimulatedPlans,
+    target: Plans,
 ) -> EachCar:
     """Return the distance that is missing to stop behind each car ahead after a plan.
 

@@ -40,7 +40,10 @@ SHARP_BENDS = SharpBends()
 
 
 def lateral_position(
-    scene: RoadScene, states: States, ahead: Numeric, right: Numeric = 0.0
+    scene: RoadScene,
+    states: States,
+    ahead: Numeric,
+    right: Numeric = 0.0,
 ) -> Numbers:
     """Return the lateral position of a point of the robot's body [m].
 

@@ -60,7 +60,9 @@ class TerminalValue(NamedTuple):
 
 
 def terminal_value(
-    situation: Situation, simulated: SimulatedPlans, plans: Profiles
+    situation: Situation,
+    simulated: SimulatedPlans,
+    plans: Profiles,
 ) -> TerminalValue:
     """Return the value of the time after plans."""
     weights = situation.weights

@@ -151,7 +151,10 @@ class TimedGoal:
         return min(max(at_this_speed, first + margin), last - margin)
 
     def guide(
-        self, driver: RoadDriver | AddedRoadDriver, vehicle: Vehicle, now: float
+        self,
+        driver: RoadDriver | AddedRoadDriver,
+        vehicle: Vehicle,
+        now: float,
     ) -> None:
         """Let a vehicle's driver plan to be there in time.
 

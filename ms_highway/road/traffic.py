@@ -199,7 +199,9 @@ class Situation(NamedTuple):
 
 
 def situation_of(
-    scene: RoadScene, planning: RoadPlanning, weights: RoadWeights
+    scene: RoadScene,
+    planning: RoadPlanning,
+    weights: RoadWeights,
 ) -> Situation:
     """Compute what all plans of a step share."""
     route_s, route_d, turn = scene.route.project(

@@ -96,7 +96,9 @@ def for_numbers(count: int, function: Callable[[Index], Tree]) -> Tree:
 
 
 def for_each(
-    chosen: Bool[Array, "n"], function: Callable[[Index, Tree], Tree], start: Tree
+    chosen: Bool[Array, "n"],
+    function: Callable[[Index, Tree], Tree],
+    start: Tree,
 ) -> Tree:
     """Loop over the chosen rows, one round for each, so that the time is proportional
     to their number.
@@ -244,7 +246,9 @@ def _problem(content: object, kind: type) -> str:
 
 
 def _followed(
-    content: Any, path: str, is_wrong: Callable[[Any], bool]
+    content: Any,
+    path: str,
+    is_wrong: Callable[[Any], bool],
 ) -> tuple[list[str | int], Any]:
     """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to
     the value that is wrong.

@@ -44,7 +44,9 @@ class Compiled(Generic[Result]):
     """
 
     def __init__(
-        self, function: Callable[..., Result], options: Mapping[str, Hashable]
+        self,
+        function: Callable[..., Result],
+        options: Mapping[str, Hashable],
     ) -> None:
         self._function = function
         self._options = options
@@ -71,7 +73,8 @@ class Compiled(Generic[Result]):
 
 
 def jit_quickly(
-    function: Callable[..., Result], **options: Hashable
+    function: Callable[..., Result],
+    **options: Hashable,
 ) -> Compiled[Result]:
     """Apply `jax.jit` with `quick_options` and further compiler options; compute in
     single precision.
@@ -208,7 +211,10 @@ def use_devices(count: int | None = None) -> Devices:
 
 
 def share_among(
-    devices: Devices, function: Callable[[Tree], Result], items: Tree, chunk: int
+    devices: Devices,
+    function: Callable[[Tree], Result],
+    items: Tree,
+    chunk: int,
 ) -> Result:
     """Compute a function of many items, chunk by chunk; a device takes the next chunk
     as soon as it is free.

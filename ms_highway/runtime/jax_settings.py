@@ -163,7 +163,8 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
 
 
 def own_process(
-    configure: Callable[[], None], modules: Sequence[str] = ()
+    configure: Callable[[], None],
+    modules: Sequence[str] = (),
 ) -> ProcessPoolExecutor:
     """Start a process that uses this one's compilation cache, and ends when this one
     ends for any reason.
@@ -194,7 +195,9 @@ def low_latency_on_core(number: int) -> None:
 
 
 def _prepare(
-    configure: Callable[[], None], cache: str | None, modules: Sequence[str]
+    configure: Callable[[], None],
+    cache: str | None,
+    modules: Sequence[str],
 ) -> None:
     Thread(target=_end_with_parent, daemon=True).start()
     signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts

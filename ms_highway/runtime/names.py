@@ -82,7 +82,10 @@ def check_own_name(what: str, name: object, lower: bool = True) -> None:
 
 
 def check_name(
-    what: str, name: object, taken: Iterable[str], lower: bool = True
+    what: str,
+    name: object,
+    taken: Iterable[str],
+    lower: bool = True,
 ) -> None:
     """Refuse a name that is taken, or that is not one word, in lower case if wanted.
 

@@ -141,7 +141,9 @@ class BicycleVehicle(Vehicle):
         self.on_state_update()
 
     def _is_colliding(
-        self, other: RoadObject, dt: float
+        self,
+        other: RoadObject,
+        dt: float,
     ) -> tuple[bool, bool, Control | None]:
         """Return whether the bodies overlap, whether they will within ``dt``, and the
         push apart; see `RoadObject`.

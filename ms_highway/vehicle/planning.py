@@ -102,7 +102,9 @@ class PlanningVehicle(BicycleVehicle, ControlledVehicle):
         self._target_speed = speed
 
     def drive_with(
-        self, controller: Controller | None, companions: Sequence[Vehicle] = ()
+        self,
+        controller: Controller | None,
+        companions: Sequence[Vehicle] = (),
     ) -> None:
         """Let a controller drive, in its game with these other cars, the partner first,
         and within its grip.

@@ -116,7 +116,9 @@ def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
 
 @cached_on_owner
 def _lanes_ahead(
-    roads: RoadMap, first: LaneIndex, route: tuple[LaneIndex, ...]
+    roads: RoadMap,
+    first: LaneIndex,
+    route: tuple[LaneIndex, ...],
 ) -> Lanes:
     """Return a lane and the next ones on a route over the reach beyond it."""
     lanes = [roads.lanes[first]]

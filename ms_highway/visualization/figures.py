@@ -66,7 +66,9 @@ CAPTIONS = {
 
 
 def figures(
-    records: pd.DataFrame, summaries: pd.DataFrame, scenario: str
+    records: pd.DataFrame,
+    summaries: pd.DataFrame,
+    scenario: str,
 ) -> dict[str, Callable[[], Figure]]:
     """Return functions that draw the figures of a scenario, by the names of `CAPTIONS`.
 
@@ -253,7 +255,8 @@ def timeline(records: pd.DataFrame, scenario: str) -> Figure:
 
 @styled
 def decisions(
-    episodes: Sequence[pd.DataFrame], reference: pd.DataFrame | None = None
+    episodes: Sequence[pd.DataFrame],
+    reference: pd.DataFrame | None = None,
 ) -> Figure:
     """Draw the decisions and the reward of episodes, a column per episode.
 
@@ -314,7 +317,9 @@ def _draw_gains(axes: Axes, episode: pd.DataFrame) -> dict[str, Artist]:
 
 
 def _draw_reward(
-    axes: Axes, episode: pd.DataFrame, reference: pd.DataFrame | None
+    axes: Axes,
+    episode: pd.DataFrame,
+    reference: pd.DataFrame | None,
 ) -> dict[str, Artist]:
     """Draw the reward of an episode and of a reference; return handles by label."""
     steps = episode["step"]

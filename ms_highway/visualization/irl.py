@@ -172,7 +172,8 @@ def _fullest_moment(snapshots: Snapshots) -> Snapshots:
 
 
 def learned_tables(
-    learned: LearnedReward, true: Mapping[str, float] | None = None
+    learned: LearnedReward,
+    true: Mapping[str, float] | None = None,
 ) -> list[pd.DataFrame]:
     """Tabulate a learned reward and, if there are any, learned drivers.
 

@@ -175,7 +175,8 @@ def content(figure: Figure, kind: str = "png") -> bytes:
 
 
 def drawn(
-    figures: Mapping[str, Callable[[], Figure]], kind: str = "png"
+    figures: Mapping[str, Callable[[], Figure]],
+    kind: str = "png",
 ) -> dict[str, bytes]:
     """Return the contents of the figures' files, by name.
 

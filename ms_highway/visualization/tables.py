@@ -89,7 +89,9 @@ def texts(forms: Mapping[str, str], rows: Iterable[Mapping]) -> pd.DataFrame:
 
 
 def grid(
-    title: str, rows: pd.DataFrame | Sequence[Mapping], names: int = 1
+    title: str,
+    rows: pd.DataFrame | Sequence[Mapping],
+    names: int = 1,
 ) -> pd.DataFrame:
     """Return a table with a title in its ``attrs``.
 

@@ -46,7 +46,10 @@ def film(scenario: str, controller: str, seed: int, **config: object) -> Film:
 
 
 def film_together(
-    scenario: str, controllers: Sequence[str], seed: int, **config: object
+    scenario: str,
+    controllers: Sequence[str],
+    seed: int,
+    **config: object,
 ) -> list[Film]:
     """Film an episode of each controller from the same start.
 
@@ -125,7 +128,9 @@ def write(pictures: Sequence[Picture], path: Path, frames_per_second: float) -> 
 
 
 def encoded(
-    pictures: Sequence[Picture], suffix: str, frames_per_second: float
+    pictures: Sequence[Picture],
+    suffix: str,
+    frames_per_second: float,
 ) -> bytes:
     """Return the content of a video file, ``.mp4`` or ``.gif``.
 

@@ -43,7 +43,9 @@ Lane: TypeAlias = tuple[str, str, int] | None
 
 
 def motion_figures(
-    states: Float[np.ndarray, "frames 4"], time_step: float, crashed: bool = False
+    states: Float[np.ndarray, "frames 4"],
+    time_step: float,
+    crashed: bool = False,
 ) -> dict[str, float]:
     """Return figures of a car's motion by name.
 
@@ -261,7 +263,9 @@ def _gap(one: RoadObject, other: RoadObject) -> float:
 
 
 def is_at_fault(
-    ego: Vehicle, other: RoadObject | None, lanes: Collection[Lane]
+    ego: Vehicle,
+    other: RoadObject | None,
+    lanes: Collection[Lane],
 ) -> bool:
     """Return whether the ego is at fault in a collision.
 

@@ -55,7 +55,10 @@ class Peer(gym.Wrapper):
         self.decisions: list[float] = []
 
     def reset(
-        self, *, seed: int | None = None, options: dict | None = None
+        self,
+        *,
+        seed: int | None = None,
+        options: dict | None = None,
     ) -> tuple[object, dict]:
         """Start an episode."""
         self.observation, info = super().reset(seed=seed, options=options)
@@ -63,7 +66,8 @@ class Peer(gym.Wrapper):
         return self.observation, info
 
     def step(
-        self, action: object = None
+        self,
+        action: object = None,
     ) -> tuple[object, SupportsFloat, bool, bool, dict]:
         """Decide, and take a step of the environment."""
         self.decisions.clear()
@@ -282,7 +286,9 @@ def starts_of(data: Path | None, egos: str) -> list[RecordedStart]:
 
 
 def _start_of_problem(
-    scenario: TrafficRecording, recording: str, number: int
+    scenario: TrafficRecording,
+    recording: str,
+    number: int,
 ) -> RecordedStart:
     """Return the start of a planning problem.
 
