@@ -13,7 +13,7 @@ from highway_env.vehicle.objects import Obstacle
 from ms_highway.envs.configuration import Config
 from ms_highway.envs.configured import ConfiguredEnv, not_simulated
 from ms_highway.envs.info import GameInfo
-from ms_highway.game.features import check_own_features, features
+from ms_highway.game.features import check_user_features, features
 from ms_highway.game.game import Game
 from ms_highway.game.scene import PAPER_SIZES
 from ms_highway.runtime.arrays import State
@@ -98,8 +98,8 @@ class GameEnv(ConfiguredEnv):
         states = self.car_states
         scene = self.game.scene
         phi = np.asarray(compiled_features(scene, robot, states.astype(np.float32)))
-        if robot.own and not np.isfinite(phi).all():
-            check_own_features(scene, robot, 0, states, gradients=False)
+        if robot.user_features and not np.isfinite(phi).all():
+            check_user_features(scene, robot, 0, states, gradients=False)
         terms = (phi * np.asarray(robot.weights)).tolist()
         self._terms = dict(zip(robot.names, terms, strict=True))
         self.collision = bool(phi[robot.names.index("collision")])

@@ -24,7 +24,7 @@ from ms_highway.envs.spaces import (
     executed_controls,
     is_possible,
 )
-from ms_highway.game.features import check_own_features
+from ms_highway.game.features import check_user_features
 from ms_highway.game.starts import Random, TracedRandom
 from ms_highway.loop.batch import (
     EpisodeCarry,
@@ -240,7 +240,7 @@ class FunctionalEnv:
         random = np.random.default_rng(0)
         game = self.loop.game
         start, _ = env.draw_episode(random)
-        check_own_features(game.scene, game.robot, game.number, start)
+        check_user_features(game.scene, game.robot, game.number, start)
         if not self.agent_drives:
             self.loop = replace(self.loop, belief=controller.belief)
             warn_of_limits(self.loop.models, game, start)

@@ -161,7 +161,7 @@ def motion_features(
         *traffic,
         *(
             _at_every_moment(function, scene, own, others)
-            for function in parameters.own
+            for function in parameters.user_features
         ),
     ]
 
@@ -182,7 +182,7 @@ def _at_every_moment(
     return jnp.asarray(mapped(own, others), own.x.dtype)
 
 
-def check_own_features(
+def check_user_features(
     scene: Scene,
     parameters: Reward,
     humans: int,
@@ -203,25 +203,25 @@ def check_own_features(
     Raises:
         ValueError: naming the feature.
     """
-    names = parameters.names[len(parameters.names) - len(parameters.own) :]
-    for name, function in zip(names, parameters.own, strict=True):
+    names = parameters.names[len(parameters.names) - len(parameters.user_features) :]
+    for name, function in zip(names, parameters.user_features, strict=True):
         for car in range(1 + humans):
             # A human's partner is the robot, which comes first among the others.
             others = [other for other in range(len(state)) if other != car]
             from_side = np.asarray(state, np.float32)[np.array([car, *others])]
             shown = np.round(np.asarray(state, float), 2).tolist()
             subject = f"the feature {name!r} of car {car} in the state {shown}"
-            _check_own_feature(function, scene, from_side, subject, gradients)
+            _check_user_feature(function, scene, from_side, subject, gradients)
 
 
-def _check_own_feature(
+def _check_user_feature(
     function: Feature,
     scene: Scene,
     state: Float[np.ndarray, "cars 4"],
     subject: str,
     gradients: bool,
 ) -> None:
-    """Check a feature of car 0 in one state, see `check_own_features`.
+    """Check a feature of car 0 in one state, see `check_user_features`.
 
     Raises:
         ValueError: beginning with the subject.

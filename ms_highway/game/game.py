@@ -112,7 +112,7 @@ class Game:
         """
         robot = self.robot
         human = self.human()
-        if (robot.names, robot.own) != (human.names, human.own):
+        if (robot.names, robot.user_features) != (human.names, human.user_features):
             both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
             raise ValueError(
                 f"robot and human have rewards of other features, {both}; build both"

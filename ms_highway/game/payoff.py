@@ -129,8 +129,11 @@ def lateness(
     return half_way * late * aligned * ahead**2 * (3 - 2 * ahead)
 
 
-Bends = Float[jax.Array, "fields fields steps"]
-"""Second derivatives in the fields of a trajectory at every step."""
+HessianBlocks = Float[jax.Array, "fields fields steps"]
+"""Second derivatives in the fields of a trajectory at every step.
+
+A Hessian over all steps is zero outside of these blocks.
+"""
 
 PointPlaces = Float[jax.Array, "2 points steps"]
 """x and y of points of a car."""
@@ -140,14 +143,14 @@ class SecondOrder(NamedTuple):
     """Derivatives of a payoff at every step of a trajectory.
 
     Attributes:
-        slope: in the car's own fields.
-        own: twice in its own fields.
-        partner: in its own fields, then in those of its partner.
+        gradient: in the car's own fields.
+        hessian: twice in its own fields.
+        mixed_hessian: in its own fields, then in those of its partner.
     """
 
-    slope: Trajectory
-    own: Bends
-    partner: Bends
+    gradient: Trajectory
+    hessian: HessianBlocks
+    mixed_hessian: HessianBlocks
 
 
 @jax.tree_util.register_dataclass
@@ -210,11 +213,11 @@ class Payoff:
             slope, around = self.slopes(own, others)
             return slope, around[0]
 
-        (slope, _), bends = along_fields(slopes, own)
-        return SecondOrder(slope, *bends)
+        (gradient, _), (hessian, mixed_hessian) = along_fields(slopes, own)
+        return SecondOrder(gradient, hessian, mixed_hessian)
 
     @jax.jit
-    def curvature(self, own: Trajectory, others: Trajectories) -> Bends:
+    def curvature(self, own: Trajectory, others: Trajectories) -> HessianBlocks:
         """Return a convex matrix in place of minus the Hessian of the sum.
 
         It is in the fields of the car's trajectory. For costs ``c_j(q_j)`` of
@@ -227,10 +230,10 @@ class Payoff:
 
         # Closeness to bodies, by the places of points of the car.
         bodies = bodies_around(scene, around)
-        total = _bends_of_points(own, points, partial(self._closeness, bodies))
+        total = _half_hessian_of_points(own, points, partial(self._closeness, bodies))
         if self.avoids_contact:
             contact = partial(car_residuals, scene, others=around)
-            total = total + _bends_of_points(own, contact_points(scene), contact)
+            total = total + _half_hessian_of_points(own, contact_points(scene), contact)
 
         # All else is a sum of squares of quantities that are taken as linear in the
         # motion.
@@ -311,24 +314,24 @@ class Payoff:
             * jnp.exp(-bodies.sharpness * now)
         )
         fall = bodies.sharpness * risk
-        half_bend = bodies.sharpness**2 * risk / 2
+        half_second = bodies.sharpness**2 * risk / 2
 
         # Those of the smooth indicator, factor max(margin - (D - 1), 0)^3.
         if not self.avoids_contact:
             price = RISK.smooth_factor * self.reward.price("collision")
             depth = jnp.maximum(RISK.smooth_margin - now, 0.0)
             fall = fall + 3 * price * depth**2
-            half_bend = half_bend + 3 * price * depth
+            half_second = half_second + 3 * price * depth
         fall = jnp.sqrt(fall)
-        half_bend = jnp.sqrt(half_bend)
-        return jnp.stack([fall * ahead, fall * across, half_bend * distance])
+        half_second = jnp.sqrt(half_second)
+        return jnp.stack([fall * ahead, fall * across, half_second * distance])
 
 
-def _bends_of_points(
+def _half_hessian_of_points(
     own: Trajectory,
     points: Float[Array, "points 2"],
     residuals: Callable[[PointPlaces], Float[jax.Array, "*rows points steps"]],
-) -> Bends:
+) -> HessianBlocks:
     """Return half of the second derivatives of the sum of squares of residuals.
 
     They are in the fields of a trajectory.

@@ -46,7 +46,7 @@ It is a number computed from the scene, the motion of car 0 and the motion of al
 others, arrays [others], its partner first.
 """
 
-OWN_FEATURES: dict[str, Feature] = {}
+USER_FEATURES: dict[str, Feature] = {}
 """User-defined features by name, see `add_feature`."""
 
 COMPUTATION = "computation"
@@ -66,7 +66,7 @@ class Reward:
             scaled control from the one that keeps the velocity.
         names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then
             user-defined ones (static).
-        own: functions of the user-defined features, in the order of the last names
+        user_features: functions of the user-defined features, in the order of the last names
             (static).
         headway: time gap between bumpers that the headway feature wants, besides 2 m
             [s].
@@ -77,7 +77,7 @@ class Reward:
     gap: Scalar
     comfort: Float[Array, "2"]
     names: tuple[str, ...] = field(metadata={"static": True})
-    own: tuple[Feature, ...] = field(default=(), metadata={"static": True})
+    user_features: tuple[Feature, ...] = field(default=(), metadata={"static": True})
     headway: Scalar = 1.0
 
     def price(self, name: str) -> Scalar:
@@ -126,7 +126,7 @@ def add_feature(name: str, function: Feature) -> None:
             f"the feature {name!r} returns {found} for one moment; it must return one"
             " number"
         )
-    OWN_FEATURES[name] = function
+    USER_FEATURES[name] = function
     note_definition(name, function)
 
 
@@ -155,7 +155,7 @@ def _traced_result(name: str, function: Feature) -> object:
 
 def weight_names() -> tuple[str, ...]:
     """Return the names of all known weights: of all features, and of comfort."""
-    return (*FEATURES, *OWN_FEATURES, *COMFORT)
+    return (*FEATURES, *USER_FEATURES, *COMFORT)
 
 
 def linear_reward(
@@ -178,7 +178,7 @@ def linear_reward(
     """
     _check_weights(values, names or ())
     names = names or features_for(values)
-    if names != tuple(name for name in (*FEATURES, *OWN_FEATURES) if name in names):
+    if names != tuple(name for name in (*FEATURES, *USER_FEATURES) if name in names):
         raise ValueError(
             f"the features {', '.join(names)} are not in the order of FEATURES, then"
             " user-defined ones"
@@ -195,8 +195,8 @@ def linear_reward(
         )
     weights = np.array([values.get(name, 0.0) for name in names], np.float32)
     comfort = np.array([values.get(name, 0.0) for name in COMFORT], np.float32)
-    own = tuple(OWN_FEATURES[name] for name in names if name in OWN_FEATURES)
-    return Reward(weights, speed_limit, gap, comfort, names, own)
+    functions = tuple(USER_FEATURES[name] for name in names if name in USER_FEATURES)
+    return Reward(weights, speed_limit, gap, comfort, names, functions)
 
 
 def _check_weights(values: Mapping[str, float], names: tuple[str, ...]) -> None:
@@ -237,7 +237,7 @@ def features_for(
         name for values in rewards for name, value in values.items() if value != 0
     }
     packaged = least if weighed.isdisjoint(TRAFFIC_FEATURES) else FEATURES
-    return (*packaged, *(name for name in OWN_FEATURES if name in weighed))
+    return (*packaged, *(name for name in USER_FEATURES if name in weighed))
 
 
 @dataclass(frozen=True)

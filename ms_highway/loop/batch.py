@@ -29,7 +29,7 @@ from ms_highway.choice.rule import (
 from ms_highway.choice.rule import decide as decide_by
 from ms_highway.game.dynamics import keep_velocity, within_grip
 from ms_highway.game.dynamics import step as move
-from ms_highway.game.features import check_own_features, features
+from ms_highway.game.features import check_user_features, features
 from ms_highway.game.game import Game, each_human, swap_players
 from ms_highway.loop.braking import brake
 from ms_highway.loop.game_parts import choose, plan_start
@@ -91,7 +91,7 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     refuse_after_fork()
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    check_own_features(
+    check_user_features(
         loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0]
     )
     warn_of_limits(loop.models, loop.game, episodes.starts[0])
@@ -116,13 +116,13 @@ def checked_records(loop: Loop, records: Records) -> Records:
 
     # A reward that is not finite in a finite state comes from a feature of the user's.
     robot = loop.game.robot
-    if robot.own:
+    if robot.user_features:
         rewards = np.asarray(records.reward)
         states = np.asarray(records.states)
         finite_states = np.isfinite(states).all(axis=(-2, -1))
         failed = states[~np.isfinite(rewards) & finite_states]
         for state in failed[:1]:
-            check_own_features(loop.game.scene, robot, 0, state, gradients=False)
+            check_user_features(loop.game.scene, robot, 0, state, gradients=False)
     return records._replace(chosen=None)
 
 

@@ -14,7 +14,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool, Int
 
 from ms_highway.game.dynamics import facing
-from ms_highway.game.features import check_own_features
+from ms_highway.game.features import check_user_features
 from ms_highway.game.game import Game, constant_velocity, pair
 from ms_highway.numerics.solvers import Ascent
 from ms_highway.planning.human_models import (
@@ -312,7 +312,7 @@ class CompiledPlans:
             state: all cars now.
             way_out: whether to warm up the way out beside the plans.
         """
-        check_own_features(self.game.scene, self.game.robot, self.game.number, state)
+        check_user_features(self.game.scene, self.game.robot, self.game.number, state)
         warn_of_limits(self.ladder, self.game, state)
 
         # Run each function once, with all humans on the same rung.
@@ -376,7 +376,7 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
             f"the state has {len(now)} cars; the game has a robot and {game.number}"
             " humans"
         )
-    check_own_features(game.scene, game.robot, game.number, now)
+    check_user_features(game.scene, game.robot, game.number, now)
     solution, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
     scale = np.asarray(game.planner.control_scale, dtype=float)
     return Plan(solution.plan.robot * scale, solution.plan.humans * scale)

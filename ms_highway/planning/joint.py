@@ -232,7 +232,7 @@ def _gradient_response(
     derivatives = own_game.payoff.second_order(path, around)
     cost = partial(discomfort, own_game, car)
     expansion = second_order_expansion(
-        drive, controls, derivatives.slope, derivatives.own, cost
+        drive, controls, derivatives.gradient, derivatives.hessian, cost
     )
 
     # What the robot earns through the human's response to its plan.

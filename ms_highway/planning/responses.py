@@ -10,7 +10,7 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game, others_of
-from ms_highway.game.payoff import Bends
+from ms_highway.game.payoff import HessianBlocks
 from ms_highway.runtime.arrays import Index, Trajectories, Trajectory, Vector
 
 
@@ -33,7 +33,7 @@ def trajectories_around(
     return jnp.concatenate([robot[None], rest])
 
 
-def slope_change(coupling: Bends, change: Trajectory) -> Trajectory:
+def slope_change(coupling: HessianBlocks, change: Trajectory) -> Trajectory:
     """Return how the slope in one trajectory changes if another one moves.
 
     Args:
@@ -60,7 +60,7 @@ def in_controls(
 def slope_through(
     jacobian: Float[jax.Array, "fields steps n"],
     answer: Vector,
-    coupling: Bends,
+    coupling: HessianBlocks,
 ) -> Trajectory:
     """Return the slope of R_R in s_R through a human: ``B_i^T S_i (-H_i^-1 g_i)``.
 
@@ -72,7 +72,7 @@ def slope_through(
     return slope_change(coupling, jacobian @ answer)
 
 
-def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
+def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> HessianBlocks:
     """Return B_i, the mixed second derivatives of a human's reward.
 
     The package's features are sums over the other cars, so that all but the robot are
@@ -86,9 +86,9 @@ def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> Bends:
     Returns:
         At each step, derivatives in the human's fields, then in the robot's.
     """
-    if not game.robot.own:
+    if not game.robot.user_features:
         leader = 1 if game.scene.leader == 1 else None
         scene = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=leader)
         game = replace(game, scene=scene)
         others = others[:1]
-    return game.payoff.second_order(own, others).partner
+    return game.payoff.second_order(own, others).mixed_hessian

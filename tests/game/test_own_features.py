@@ -17,7 +17,7 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.features import features
 from ms_highway.game.game import total_reward
 from ms_highway.game.reward import (
-    OWN_FEATURES,
+    USER_FEATURES,
     PAPER_FEATURES,
     add_feature,
     linear_reward,
@@ -43,12 +43,12 @@ def roomy():
 
     The feature is removed after the test.
     """
-    before = dict(OWN_FEATURES)
+    before = dict(USER_FEATURES)
     add_feature("room", room)
     weights = {**MERGER.robot_weights, "room": 30.0}
     yield build_game(replace(MERGER, cones=((0.4, 0.08),), robot_weights=weights))
-    OWN_FEATURES.clear()
-    OWN_FEATURES.update(before)
+    USER_FEATURES.clear()
+    USER_FEATURES.update(before)
 
 
 def test_decisions_expand_a_feature_of_all_cars_at_once(roomy, played):

@@ -78,7 +78,7 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
         humans = move_all(game, state[1:4], start.humans)
         own = swap_roles(game, human)
         around = trajectories_around(human, robot, humans)
-        with_others = own.payoff.second_order(humans[human], around).partner
+        with_others = own.payoff.second_order(humans[human], around).mixed_hessian
         return with_others, mixed_bends(own, humans[human], around)
 
     wanted, bends = with_and_without(np.arange(3))
