@@ -19,9 +19,9 @@ from ms_highway.game.scenarios import PACKAGE_SCENARIOS
 from ms_highway.planning.ladders import ladder
 from ms_highway.runtime.definitions import note_definition
 from ms_highway.runtime.names import (
-    VERSIONED,
     check_name,
     environment_class_name,
+    has_version,
     versioned,
 )
 
@@ -87,7 +87,7 @@ def scenario_name(name: str) -> str:
     """
     bare = name.rpartition("/")[2]
     known = bare.removesuffix("-v0").replace("-", "_") if bare.endswith("-v0") else bare
-    if known in ENVIRONMENTS and (bare == name or VERSIONED.fullmatch(bare)):
+    if known in ENVIRONMENTS and (bare == name or has_version(bare)):
         return known
     raise ValueError(
         f"unknown scenario {name!r}; the scenarios are {', '.join(ENVIRONMENTS)}"

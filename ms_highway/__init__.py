@@ -1,5 +1,4 @@
-"""A robot car that decides online which model of the human driver is worth its
-computation.
+"""A robot car that decides online which model of the human is worth its computation.
 
 The method is that of Sripathy, Bobu, Brown and Dragan (ICRA 2021), the roads are
 highway-env's, and what computes is JAX. To start::
@@ -7,9 +6,11 @@ highway-env's, and what computes is JAX. To start::
     import gymnasium as gym
     import ms_highway  # registers the environments
 
-    env = gym.make("ms-highway/merger-v1", config={"controller": {"type": "learned", "lambda": 1.0}})
+    controller = {"type": "learned", "lambda": 1.0}
+    env = gym.make("ms-highway/merger-v1", config={"controller": controller})
     observation, info = env.reset(seed=0)
-    observation, reward, terminated, truncated, info = env.step(0)  # the robot drives itself
+    # The robot drives itself; 0 is the only action.
+    observation, reward, terminated, truncated, info = env.step(0)
 
 or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 
@@ -31,7 +32,8 @@ The names in ``__init__.pyi`` are loaded when they are first used.
 
 from ms_highway.runtime import process
 
-process.watch()  # first of all, as what follows takes seconds
+# First of all, as what follows takes seconds.
+process.watch()
 
 import warnings as _warnings  # noqa: E402
 from importlib.metadata import version  # noqa: E402
@@ -49,13 +51,14 @@ if getattr(_find_spec("pygame"), "origin", None) is None:
         "pygame is not whole: pygame and pygame-ce share a folder, and uninstalling one"
         " breaks the other; run `pip install --force-reinstall pygame-ce`"
     )
-if not process.is_command():  # which loads it when it needs it
-    import highway_env  # whose own environments are expected beside ours  # noqa: F401
+if not process.is_command():
+    # Users expect highway-env's environments beside ours. The command loads them when
+    # it needs them.
+    import highway_env  # noqa: F401
 
 _directory = _Path(__file__).parent
-if not (
-    _directory / "envs"
-).is_dir():  # a checkout without symbolic links; envs/ lies beside this directory
+if not (_directory / "envs").is_dir():
+    # In a checkout without symbolic links, envs/ lies beside this directory.
     __path__.append(str(_directory.parent))
 
 __version__ = version("ms-highway")

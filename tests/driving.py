@@ -116,7 +116,7 @@ def drive(driver, start, steps, humans=None):
 
 
 def episodes_of(loop, starts, steps=5, schedule=DECIDES, drivers=HUMAN_PLANS):
-    """Return episodes of a game from some starts; arguments for one episode serve all."""
+    """Return episodes of a game; arguments for one episode serve all of them."""
     number = len(starts)
     humans = loop.game.number
     robot = loop.game.robot.weights

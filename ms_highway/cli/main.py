@@ -19,7 +19,7 @@ from ms_highway.cli.console import (
 from ms_highway.cli.irl import evaluate, fit, record
 from ms_highway.cli.runs import compare, sweep
 from ms_highway.cli.show import frontier, learn, report, validate, video
-from ms_highway.runtime.process import INTERRUPTED, STOPPED
+from ms_highway.runtime.process import INTERRUPTED, last_line
 from ms_highway.runtime.sources import import_modules
 
 COMMANDS = {
@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         warn(error)
         return 2
     except KeyboardInterrupt:
-        print(STOPPED, file=sys.stderr)
+        print(last_line(), file=sys.stderr)
         return INTERRUPTED
     return 0
 

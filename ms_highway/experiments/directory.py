@@ -20,8 +20,8 @@ from msgspec import Meta
 
 from ms_highway.runtime.arrays import Positive, read
 from ms_highway.runtime.files import (
-    PART,
-    held,
+    FILE_NAMES,
+    locked,
     read_json,
     reading,
     replacing,
@@ -114,7 +114,7 @@ class ResultsDirectory:
             ValueError: if another command is writing there, or the record of earlier
                 runs cannot be read.
         """
-        with held(self.path):
+        with locked(self.path):
             self.runs()
             tidy(self.path)
             yield self
@@ -170,7 +170,9 @@ class ResultsDirectory:
         """
         if not self.path.exists():
             return
-        if any(not file.name.startswith(PART) for file in self.path.iterdir()):
+        if any(
+            not file.name.startswith(FILE_NAMES.part) for file in self.path.iterdir()
+        ):
             raise ValueError(
                 f"{self.path} is not empty, and has no {self.settings_file};"
                 f" {self.remedy}"

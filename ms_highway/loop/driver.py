@@ -44,7 +44,7 @@ from ms_highway.planning.way_out import Escape
 from ms_highway.runtime.arrays import Control, RungIndex, State
 from ms_highway.runtime.compilation import (
     Compiled,
-    Placed,
+    ReusedArguments,
     jit_quickly,
     single,
     timed,
@@ -184,7 +184,7 @@ class Driver:
 
     def _place(self) -> None:
         """Hold the numbers that choices take, and whether choices compute."""
-        self._placed = Placed((self.rule, single(self.game)))
+        self._arguments = ReusedArguments((self.rule, single(self.game)))
         self._choice_computes = self._rule.computes or self.infers_models
 
     def reset(self) -> None:
@@ -336,7 +336,7 @@ class Driver:
         function = choice_function(self._unresponsive)
         # A choice does not need the last plan.
         past = carry._replace(fallback=None)  # type: ignore[arg-type]
-        arguments = *self._placed.take(), past, now
+        arguments = *self._arguments.take(), past, now
         return function.of(*arguments), *arguments
 
 

@@ -14,7 +14,7 @@ from ms_highway.game.game import Game
 from ms_highway.loop.controller import DriverFunction
 from ms_highway.planning.human_models import HumanModel, Naive
 from ms_highway.runtime.arrays import Array, RungIndex
-from ms_highway.runtime.compilation import CHUNK
+from ms_highway.runtime.compilation import GROUP_SIZES
 
 DECIDES = -1
 """Entry of a schedule: the rule chooses the model of this human in this step; other
@@ -56,7 +56,7 @@ class Loop:
     way_out: bool = field(default=False, metadata={"static": True})
     belief: bool = field(default=False, metadata={"static": True})
     drivers: tuple[DriverFunction, ...] = field(default=(), metadata={"static": True})
-    chunk: int = field(default=CHUNK, metadata={"static": True})
+    chunk: int = field(default=GROUP_SIZES.cpu_chunk, metadata={"static": True})
     axis: ClassVar[str] = "episodes"
 
     @property

@@ -48,7 +48,7 @@ from ms_highway.runtime.arrays import (
 )
 from ms_highway.runtime.compilation import (
     Compiled,
-    Placed,
+    ReusedArguments,
     jit_quickly,
     single,
     timed,
@@ -266,7 +266,7 @@ class CompiledPlans:
         self._function_of_each = game.number == 1  # which is smaller than one for all
         warm = any(model.warm for model in self.ladder)
         self._continues = warm or game.planner.solver.continues
-        self._placed = Placed(single(game))
+        self._arguments = ReusedArguments(single(game))
 
     def plan(
         self,
@@ -302,7 +302,7 @@ class CompiledPlans:
         if self._function_of_each:
             models = (self.ladder[int(rungs[0])],)
         traced_rungs = np.asarray(rungs, np.int32) if len(models) > 1 else None
-        arguments = (self._placed.take(), state, traced_rungs, start)
+        arguments = (self._arguments.take(), state, traced_rungs, start)
         return plan_function(models).of(*arguments), *arguments
 
     def warm_up(self, state: State, way_out: bool = False) -> float:
@@ -321,7 +321,7 @@ class CompiledPlans:
         seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
         if way_out:
             control = np.zeros(2, np.float32)
-            seconds += warm_up(escape, self._placed.take(), state, control)
+            seconds += warm_up(escape, self._arguments.take(), state, control)
         return seconds
 
     def keep_way_out(self, state: State, control: Control) -> tuple[Escape, float]:
@@ -330,7 +330,7 @@ class CompiledPlans:
         See `ms_highway.planning.way_out.keep_way_out`.
         """
         planned = np.asarray(control, np.float32)
-        found, seconds = timed(escape, self._placed.take(), state, planned)
+        found, seconds = timed(escape, self._arguments.take(), state, planned)
         return Escape(*map(np.asarray, found)), seconds
 
 

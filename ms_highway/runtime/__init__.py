@@ -1,5 +1,4 @@
-"""Serve every other package and know no driving: JAX settings, compilation, timing,
-files, interrupts.
+"""Serve every other package: JAX settings, compilation, timing, files, interrupts.
 
-Imports nothing else of ms_highway.
+This package knows no driving, and imports nothing else of ms_highway.
 """

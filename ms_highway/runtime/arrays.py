@@ -1,5 +1,4 @@
-"""Name arrays by their shapes, loop over rows, and read structures of numbers from
-JSON.
+"""Name arrays by their shapes, loop over rows, and read structures from JSON.
 
 All types except `SameArray` may be of NumPy or JAX, which a type checker cannot tell
 apart.
@@ -76,22 +75,25 @@ Tree = TypeVar("Tree")  # a pytree of arrays
 
 
 def for_rows(function: Callable[..., Tree], *arrays: object) -> Tree:
-    """Compute a function of every row of pytrees of arrays; a single row needs no
-    `jax.vmap`, so it compiles faster.
+    """Compute a function of every row of pytrees of arrays.
+
+    A single row needs no `jax.vmap`, so it compiles faster.
     """
-    if len(jax.tree.leaves(arrays)[0]) > 1:
+    rows = len(jax.tree.leaves(arrays)[0])
+    if rows > 1:
         return jax.vmap(function)(*arrays)
-    return jax.tree.map(
-        lambda part: part[None], function(*jax.tree.map(lambda part: part[0], arrays))
-    )
+    only_row = jax.tree.map(lambda array: array[0], arrays)
+    result = function(*only_row)
+    return jax.tree.map(lambda array: array[None], result)
 
 
 def for_numbers(count: int, function: Callable[[Index], Tree]) -> Tree:
-    """Compute a function of 0, 1, ..., one by one, and stack the results; a single one
-    needs no loop.
+    """Compute a function of 0, 1, ..., one by one, and stack the results.
+
+    A single one needs no loop.
     """
     if count == 1:
-        return jax.tree.map(lambda part: jnp.asarray(part)[None], function(0))
+        return jax.tree.map(lambda array: jnp.asarray(array)[None], function(0))
     return jax.lax.map(function, jnp.arange(count))
 
 
@@ -100,34 +102,34 @@ def for_each(
     function: Callable[[Index, Tree], Tree],
     start: Tree,
 ) -> Tree:
-    """Loop over the chosen rows, one round for each, so that the time is proportional
-    to their number.
+    """Loop over the chosen rows, one round for each.
 
-    Where no row is chosen, nothing is computed: without the condition, XLA would
-    compute before the loop whatever is the same in all rounds.
+    So the time is proportional to their number. Where no row is chosen, nothing is
+    computed: without the condition, XLA would compute before the loop whatever is the
+    same in all rounds.
 
     Args:
         chosen: rows to loop over.
-        function: takes the number of a row and the result so far, and returns the next
+        function: takes the index of a row and the result so far, and returns the next
             result.
         start: first result.
     """
 
     def loop() -> Tree:
-        order = jnp.argsort(-chosen.astype(int), stable=True)
-        return jax.lax.fori_loop(
-            0,
-            jnp.sum(chosen),
-            lambda place, found: function(order[place], found),
-            start,
-        )
+        """Compute the function of every chosen row."""
+        chosen_first = jnp.argsort(-chosen.astype(int), stable=True)
+
+        def compute(number: Index, result: Tree) -> Tree:
+            """Compute the function of one row in the order."""
+            return function(chosen_first[number], result)
+
+        return jax.lax.fori_loop(0, jnp.sum(chosen), compute, start)
 
     return jax.lax.cond(chosen.any(), loop, lambda: start)
 
 
 def read_only(tree: Tree) -> Tree:
-    """Return a pytree whose NumPy arrays cannot be written; they are views of the same
-    numbers.
+    """Return a pytree with views of its NumPy arrays that cannot be written.
 
     Functions of a user get such arrays, so that none of them can change a game, a state
     or a record of the package.
@@ -163,8 +165,9 @@ def naming_writes(user: str) -> Iterator[None]:
 
 
 class Published(dict[str, Any]):
-    """Numbers by name that the package publishes, and that nobody can change; a copy is
-    a usual dictionary.
+    """Numbers by name that the package publishes, and that nobody can change.
+
+    A copy is a usual dictionary.
 
     Raises:
         TypeError: from every method that would change it.
@@ -186,10 +189,8 @@ class Published(dict[str, Any]):
 
 # Structures of numbers, read from JSON
 
-MAX_NUMBER = 1e300
-LONGEST = 80  # characters of a wrong value that a message shows
-
-Positive = Annotated[float, msgspec.Meta(gt=0, lt=MAX_NUMBER)]
+# The upper limit refuses infinity, and numbers near it.
+Positive = Annotated[float, msgspec.Meta(gt=0, lt=1e300)]
 
 
 class Structure(msgspec.Struct, **{"frozen": True, "forbid_unknown_fields": True}):
@@ -221,19 +222,36 @@ def read(content: object, kind: type[Kind]) -> Kind:
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        problem, _, path = str(error).partition(" - at `$")
-        keys, found = _followed(
-            content,
-            path.rstrip("`"),
-            lambda changed: _problem(changed, kind) == str(error),
-        )
-        shown = shortened(found)
-        hidden = problem.startswith("Object") or len(shown) > LONGEST
-        place = "".join(
-            f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys
-        ).lstrip(".")
-        where = f"{place}: " if hidden else f"{place or 'it'} is {shown}: "
-        raise ValueError(f"{where if place or not hidden else ''}{problem}") from error
+        raise ValueError(_explained(str(error), content, kind)) from error
+
+
+def _explained(message: str, content: object, kind: type) -> str:
+    """Return a message of msgspec with the place of the wrong value, and the value.
+
+    Args:
+        message: such as "Expected `float`, got `str` - at `$.peers[...].speed`".
+        content: what was to be read.
+        kind: of structure.
+    """
+    max_length = 80  # characters of a wrong value that is shown
+    problem, _, path = message.partition(" - at `$")
+    keys, value = _keys_and_value(
+        content,
+        path.rstrip("`"),
+        lambda changed: _problem(changed, kind) == message,
+    )
+
+    place = ""
+    for key in keys:
+        place += f"[{key}]" if isinstance(key, int) else f".{key}"
+    place = place.lstrip(".")
+
+    shown = shortened(value)
+    if not problem.startswith("Object") and len(shown) <= max_length:
+        return f"{place or 'it'} is {shown}: {problem}"
+    if place:
+        return f"{place}: {problem}"
+    return problem
 
 
 def _problem(content: object, kind: type) -> str:
@@ -245,13 +263,14 @@ def _problem(content: object, kind: type) -> str:
     return ""
 
 
-def _followed(
+def _keys_and_value(
     content: Any,
     path: str,
-    is_wrong: Callable[[Any], bool],
-) -> tuple[list[str | int], Any]:
-    """Follow a path of msgspec, in which ``[...]`` stands for any key of a mapping, to
-    the value that is wrong.
+    is_wrong: Callable[[object], bool],
+) -> tuple[list[str | int], object]:
+    """Follow a path of msgspec to the value that is wrong.
+
+    In the path, ``[...]`` stands for any key of a mapping.
 
     Args:
         content: what was to be read.
@@ -261,23 +280,26 @@ def _followed(
     Returns:
         The keys on the way, and the value.
     """
+    # The first step is .NAME, [INDEX] or [...].
     step = re.match(r"\.(\w+)|\[(\d+)\]|\[\.\.\.\]", path)
     if not step:
         return [], content
-    name, number = step.groups()
-    key: str | int = name or int(number or 0)
-    if not name and not number:  # the same is wrong if the mapping has no other key
-        key = next(
-            (each for each in content if is_wrong({each: content[each]})),
-            next(iter(content)),
-        )
+    name, index = step.groups()
+    key: str | int = name or int(index or 0)
+    if not name and not index:
+        # The same is wrong if the mapping has no other key.
+        wrong_keys = (each for each in content if is_wrong({each: content[each]}))
+        key = next(wrong_keys, next(iter(content)))
 
-    def with_part(part: Any) -> Any:
+    def with_part(part: object) -> object:
+        """Return the content with another value of the key."""
         if isinstance(content, dict):
             return {**content, key: part}
         return [*content[: int(key)], part, *content[int(key) + 1 :]]
 
-    keys, found = _followed(
-        content[key], path[step.end() :], lambda part: is_wrong(with_part(part))
+    further_keys, value = _keys_and_value(
+        content[key],
+        path[step.end() :],
+        lambda part: is_wrong(with_part(part)),
     )
-    return [key, *keys], found
+    return [key, *further_keys], value

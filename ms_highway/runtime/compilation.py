@@ -1,15 +1,17 @@
-"""Compile functions quickly, time them warm, and compute them for many items, shared
-among devices.
+"""Compile functions quickly, time them warm, and compute them for many items.
+
+Many items are computed in batches, or shared among devices.
 """
 
 import os
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache, update_wrapper, wraps
 from queue import SimpleQueue
 from time import perf_counter
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Generic, TypeAlias, TypeVar
 
 import jax
 import numpy as np
@@ -23,10 +25,10 @@ Result = TypeVar("Result")  # both are pytrees of arrays
 
 @cache
 def quick_options() -> dict[str, bool]:
-    """Return compiler options that halve compilation time, if XLA knows them (JAX up to
-    0.11.0); this starts JAX.
+    """Return compiler options that halve compilation time; this starts JAX.
 
-    They make small plans slower by a tenth, but not large ones.
+    There are none if XLA does not know them, after JAX 0.11.0. They make small plans
+    slower by a tenth, but not large ones.
     """
     options = {"xla_cpu_use_fusion_emitters": False}
     try:
@@ -39,8 +41,9 @@ def quick_options() -> dict[str, bool]:
 
 
 class Compiled(Generic[Result]):
-    """A function that is compiled at its first call with each structure of arguments,
-    see `jit_quickly`.
+    """A function that is compiled once for each structure of arguments.
+
+    See `jit_quickly`.
     """
 
     def __init__(
@@ -58,12 +61,12 @@ class Compiled(Generic[Result]):
         refuse_after_fork()
         structure = str(jax.tree.structure(arguments))
         if structure not in self._compiled:
-            named = wraps(self._function)(
+            # A function of its own for each structure, as JAX caches by function.
+            own_function = wraps(self._function)(
                 lambda *arguments: self._function(*arguments)
-            )  # JAX caches by function
-            self._compiled[structure] = jax.jit(
-                named, compiler_options={**quick_options(), **self._options}
             )
+            options = {**quick_options(), **self._options}
+            self._compiled[structure] = jax.jit(own_function, compiler_options=options)
         return self._compiled[structure]
 
     def __call__(self, *arguments: object) -> Result:
@@ -76,44 +79,60 @@ def jit_quickly(
     function: Callable[..., Result],
     **options: Hashable,
 ) -> Compiled[Result]:
-    """Apply `jax.jit` with `quick_options` and further compiler options; compute in
-    single precision.
+    """Apply `jax.jit` with `quick_options` and further compiler options.
 
-    XLA is asked for its options at the first call, so that importing a module does not
-    start JAX. Every structure of arguments, with the types of its dataclasses, has its
-    own jitted function: JAX may take dataclasses of other types with the same fields
-    for equal, and then uses what it compiled for another type.
+    The function computes in single precision. XLA is asked for its options at the first
+    call, so that importing a module does not start JAX. Every structure of arguments,
+    with the types of its dataclasses, has its own jitted function: JAX may take
+    dataclasses of other types with the same fields for equal, and then uses what it
+    compiled for another type.
     """
     return Compiled(function, options)
 
 
-class Placed:
-    """Numbers that a computation takes, put on JAX's device from the second time on.
+class ReusedArguments(Generic[Tree]):
+    """Arguments of a computation, which are on JAX's device from the second use on.
 
     Putting them there takes longer than passing them once.
     """
 
-    def __init__(self, tree: Any) -> None:
+    def __init__(self, tree: Tree) -> None:
         self.tree = tree
-        self._taken = 0
+        self._uses = 0
 
-    def take(self) -> Any:
-        """Return the numbers for one computation."""
-        self._taken += 1
-        if self._taken == 2:
+    def take(self) -> Tree:
+        """Return the arguments for one computation."""
+        self._uses += 1
+        if self._uses == 2:
             with single_precision():
                 self.tree = jax.device_put(self.tree)
         return self.tree
 
 
 def single(tree: Tree) -> Tree:
-    """Return a tree of numbers as NumPy arrays in single precision, for which a
-    function is compiled once.
+    """Return a tree of numbers as NumPy arrays in single precision.
+
+    A function is compiled once for all such trees of equal shapes.
     """
     return jax.tree.map(lambda number: np.asarray(number, np.float32), tree)
 
 
-BATCH = 32  # items; larger batches are hardly faster and waste more on the last one
+@dataclass(frozen=True)
+class GroupSizes:
+    """Set how many items are computed together."""
+
+    batch: int = 32
+    """Items in a batch of `in_batches`.
+
+    Larger batches are hardly faster, and waste more on the last one.
+    """
+    cpu_chunk: int = 8
+    """Items in a chunk of `share_among` on a processor, one in each lane of AVX2."""
+    accelerator_chunk: int = 256
+    """Items in a chunk of `share_among` on an accelerator."""
+
+
+GROUP_SIZES = GroupSizes()
 
 
 def in_batches(function: Callable[[Tree], Result], items: Tree) -> Result:
@@ -124,34 +143,35 @@ def in_batches(function: Callable[[Tree], Result], items: Tree) -> Result:
     for it.
 
     Args:
-        function: from a pytree of arrays [BATCH, ...] to a pytree of arrays [BATCH,
-            ...], and of [1, ...].
+        function: takes and returns a pytree of arrays [`GroupSizes.batch`, ...], or of
+            arrays [1, ...].
         items: pytree of arrays [n, ...].
     """
     refuse_after_fork()
-    number = len(jax.tree.leaves(items)[0])
-    size = 1 if number == 1 else BATCH
+    count = len(jax.tree.leaves(items)[0])
+    size = 1 if count == 1 else GROUP_SIZES.batch
 
     def compute(first: int) -> Result:
-        places = range(first, first + size)
-        return function(
-            jax.tree.map(
-                lambda array: np.take(array, places, axis=0, mode="clip"), items
-            )
+        """Compute the batch that begins with an item."""
+        indices = range(first, first + size)
+        batch = jax.tree.map(
+            lambda array: np.take(array, indices, axis=0, mode="clip"), items
         )
+        return function(batch)
 
-    results = map(compute, range(0, number, size))
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:number], *results)
+    results = map(compute, range(0, count, size))
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)
 
 
-_warm: set[Hashable] = (
-    set()
-)  # compiled functions that have run, with the shapes of their arguments
+# Compiled functions that have run, with the shapes of their arguments.
+_warm: set[Hashable] = set()
 
 
 def warm_up(function: Callable[..., object], *arguments: object) -> float:
-    """Compile and run a function that has not run before; return the seconds spent, 0
-    if it was warm.
+    """Compile and run a function that has not run before.
+
+    Returns:
+        The seconds spent; 0 if the function has run.
     """
     leaves, structure = jax.tree.flatten(arguments)
     key = (function, structure, tuple(np.shape(leaf) for leaf in leaves))
@@ -176,22 +196,20 @@ def timed(function: Callable[..., Result], *arguments: object) -> tuple[Result, 
 
 Devices: TypeAlias = Sequence[jax.Device]
 
-CHUNK = 8  # items that a processor computes together, one in each lane of AVX2
-WIDE_CHUNK = 256  # items that an accelerator computes together
-
 
 def usual_chunk() -> int:
     """Return the size of a chunk that suits the devices that JAX uses by default."""
     refuse_after_fork()
-    return CHUNK if jax.default_backend() == "cpu" else WIDE_CHUNK
+    if jax.default_backend() == "cpu":
+        return GROUP_SIZES.cpu_chunk
+    return GROUP_SIZES.accelerator_chunk
 
 
 def use_devices(count: int | None = None) -> Devices:
-    """Return as many devices as wanted, by default all; a CPU is split into one device
-    per core at most.
+    """Return as many devices as wanted, by default all.
 
-    A CPU can be split only before JAX begins to compute; ``XLA_FLAGS`` may split it
-    into more devices than cores.
+    A CPU is split into one device per core at most. It can be split only before JAX
+    begins to compute; ``XLA_FLAGS`` may split it into more devices than cores.
 
     Raises:
         ValueError: if there are fewer devices than wanted.
@@ -199,7 +217,8 @@ def use_devices(count: int | None = None) -> Devices:
     refuse_after_fork()
     if "xla_force_host_platform_device_count" not in os.environ.get("XLA_FLAGS", ""):
         most = cores()
-        with suppress(RuntimeError):  # JAX has begun, with the devices that it has
+        # JAX refuses once it has begun, with the devices that it has.
+        with suppress(RuntimeError):
             jax.config.update("jax_num_cpu_devices", min(count or most, most))
     devices = jax.local_devices()
     if count is not None and not 0 < count <= len(devices):
@@ -216,12 +235,12 @@ def share_among(
     items: Tree,
     chunk: int,
 ) -> Result:
-    """Compute a function of many items, chunk by chunk; a device takes the next chunk
-    as soon as it is free.
+    """Compute a function of many items, chunk by chunk.
 
-    Every device runs the same program, compiled for a single device, whatever the
-    number of devices and items: XLA compiles a program for several devices differently,
-    so that its results differ in the last digits.
+    A device takes the next chunk as soon as it is free. Every device runs the same
+    program, compiled for a single device, whatever the number of devices and items: XLA
+    compiles a program for several devices differently, so that its results differ in
+    the last digits.
 
     Args:
         devices: of `use_devices`.
@@ -235,23 +254,25 @@ def share_among(
     """
     refuse_after_fork()
     count = len(jax.tree.leaves(items)[0])
-    free = SimpleQueue[jax.Device]()
+    free_devices = SimpleQueue[jax.Device]()
     for device in devices:
-        free.put(device)
+        free_devices.put(device)
 
     def compute(first: int) -> Result:
-        places = np.arange(first, first + chunk).clip(max=count - 1)
-        device = free.get()
+        """Compute the chunk that begins with an item, on the next free device."""
+        indices = np.arange(first, first + chunk).clip(max=count - 1)
+        device = free_devices.get()
         try:
             with single_precision():
-                own = jax.tree.map(lambda part: np.asarray(part)[places], items)
-                return jax.device_get(function(jax.device_put(own, device)))
+                own = jax.tree.map(lambda array: np.asarray(array)[indices], items)
+                result = function(jax.device_put(own, device))
+                return jax.device_get(result)
         finally:
-            free.put(device)
+            free_devices.put(device)
 
     with ThreadPoolExecutor(len(devices)) as threads:
         computed = threads.map(compute, range(0, count, chunk))
-        results = list(
-            computed
-        )  # wait here: Python 3.11 forgets a thread if it is interrupted as it waits for its end
+        # Wait here: Python 3.11 forgets a thread if it is interrupted while it waits
+        # for the end of that thread.
+        results = list(computed)
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:count], *results)

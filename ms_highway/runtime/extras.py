@@ -6,8 +6,7 @@ from contextlib import contextmanager
 
 @contextmanager
 def needing(extra: str) -> Iterator[None]:
-    """Let a failed import in the block name the extra of this package that installs the
-    missing package.
+    """Let a failed import in the block name the extra that installs the package.
 
     Raises:
         ImportError: naming the extra.

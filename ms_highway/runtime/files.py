@@ -10,6 +10,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
 from secrets import token_hex
@@ -17,26 +18,39 @@ from typing import Any
 
 import numpy as np
 
-PART = ".part."
-"""Beginning of the names of files that are being written, or were when a process was
-killed.
-"""
 
-LOCK = f"{PART}lock"
+@dataclass(frozen=True)
+class FileNames:
+    """Set the names of temporary files, and of files that are named by users."""
 
-LEFT_BEHIND = f"{PART}{'[0-9a-f]' * 16}.*"  # only names of `part_of`
+    part: str = ".part."
+    """Beginning of the names of files that are being written.
 
-SAFE_NAME = re.compile(r"\w[\w+@=,-]*")
-"""Names that are names of files as they are: no dots, separators of paths or spaces,
-and no option of a command.
-"""
+    A killed process leaves such files behind.
+    """
+    random_bytes: int = 8
+    """Length of the random part of such a name [bytes], two digits each."""
+    max_bytes: int = 150
+    """Largest length of a user's name in the name of a file [bytes].
 
-# bytes; file systems allow 255, which leaves room for endings and for names of
-# `part_of`
-LONGEST_NAME = 150
-# hexadecimal digits that tell names apart which would otherwise give the same name of a
-# file
-DIGEST = 8
+    File systems allow 255, which leaves room for endings and for names of `part_of`.
+    """
+    digest_digits: int = 8
+    """Hexadecimal digits that keep apart names which would share a file otherwise."""
+
+    @property
+    def lock(self) -> str:
+        """Return the name of the file that locks a directory."""
+        return f"{self.part}lock"
+
+    @property
+    def abandoned(self) -> str:
+        """Return the pattern of the names that `part_of` makes, and of no others."""
+        digits = "[0-9a-f]" * (2 * self.random_bytes)
+        return f"{self.part}{digits}.*"
+
+
+FILE_NAMES = FileNames()
 
 DAMAGES = (
     ArithmeticError,
@@ -60,11 +74,10 @@ _temporary: set[Path] = set()  # files and directories that `temporary` will rem
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield a temporary path, which replaces ``path`` when the block ends well and is
-    removed when it fails.
+    """Yield a temporary path, which replaces ``path`` when the block ends.
 
-    Its name is random, so that several processes may write the same file; the last one
-    stays, whole.
+    If the block fails, the temporary file is removed. Its name is random, so that
+    several processes may write the same file; the last one stays, whole.
 
     Raises:
         OSError: naming the file, if it cannot be written.
@@ -75,9 +88,8 @@ def replacing(path: Path) -> Iterator[Path]:
     with naming(path), temporary(part_of(path)) as part:
         yield part
         with part.open("rb+") as file:
-            os.fsync(
-                file.fileno()
-            )  # or else the final file may be empty after a power failure
+            # Or else the final file may be empty after a power failure.
+            os.fsync(file.fileno())
         part.replace(path)
 
 
@@ -89,30 +101,37 @@ def check_writable(path: Path, directory: bool = False) -> None:
     """
     with naming(path):
         _check_kind(path, directory)
-        places = (path, *path.parents) if directory else path.parents
-        with temporary(
-            part_of(path, next(place for place in places if place.exists()))
-        ) as part:
+        candidates = (path, *path.parents) if directory else path.parents
+        nearest = next(place for place in candidates if place.exists())
+        with temporary(part_of(path, nearest)) as part:
             part.touch()
 
 
 def _check_kind(path: Path, directory: bool = False) -> None:
-    if path.exists() and not (path.is_dir() if directory else path.is_file()):
-        raise OSError(
-            "it is no directory" if directory else "it is a directory or a device"
-        )
+    """Check that a path is free, or leads to a file or directory, as wanted.
+
+    Raises:
+        OSError: if it leads to something else.
+    """
+    if not path.exists():
+        return
+    if directory and not path.is_dir():
+        raise OSError("it is no directory")
+    if not directory and not path.is_file():
+        raise OSError("it is a directory or a device")
 
 
 def part_of(path: Path, place: Path | None = None) -> Path:
-    """Return a random name for the replacement of a file or directory, beside it or in
-    another place.
+    """Return a random path for the replacement of a file or directory.
+
+    It lies beside the file or directory, or in another place.
     """
-    return (place or path.parent) / f"{PART}{token_hex(8)}.{path.name}"
+    random = token_hex(FILE_NAMES.random_bytes)
+    return (place or path.parent) / f"{FILE_NAMES.part}{random}.{path.name}"
 
 
 def file_name(name: str) -> str:
-    """Return the name of a file for a name that comes from a user or from a file,
-    without an ending.
+    """Return a file's name, without an ending, for a name of a user or from a file.
 
     It never leads to another directory. A name of letters, digits and ``_+@=,-`` stays
     as it is. In any other name, or in a long one, each other character becomes ``_``,
@@ -120,40 +139,45 @@ def file_name(name: str) -> str:
     share a file.
     """
     encoded = name.encode(errors="surrogatepass")
-    if SAFE_NAME.fullmatch(name) and len(encoded) <= LONGEST_NAME:
+    # No dots, spaces or separators of paths, and no option of a command.
+    is_safe = re.fullmatch(r"\w[\w+@=,-]*", name)
+    if is_safe and len(encoded) <= FILE_NAMES.max_bytes:
         return name
 
     # Cut bytes, not characters: a character of a file's name may have four bytes.
     replaced = re.sub(r"[^\w+@=,-]", "_", name)
-    shortened = replaced.encode()[:LONGEST_NAME].decode(errors="ignore")
-    digest = hashlib.sha256(encoded).hexdigest()[:DIGEST]
+    first_bytes = replaced.encode()[: FILE_NAMES.max_bytes]
+    shortened = first_bytes.decode(errors="ignore")
+    digest = hashlib.sha256(encoded).hexdigest()[: FILE_NAMES.digest_digits]
     return f"{shortened.lstrip('+@=,-')}-{digest}"
 
 
 def tidy(directory: Path) -> None:
-    """Remove files that killed commands left half written in a directory that is
-    `held`, and below it.
+    """Remove files that killed commands left half written in and below a directory.
+
+    This process must have the directory `locked`.
     """
-    for part in directory.rglob(LEFT_BEHIND):
+    for part in directory.rglob(FILE_NAMES.abandoned):
         _remove(part)
 
 
 @contextmanager
-def held(directory: Path) -> Iterator[None]:
-    """Let no other command write to a directory while the block runs; make it, and
-    remove it if it stays empty.
+def locked(directory: Path) -> Iterator[None]:
+    """Let no other command write to a directory while the block runs.
 
-    The lock of a killed command does not hold, as the system has released it. On shared
-    disks without locks, nothing is held.
+    The directory is made, and removed if it stays empty. The lock of a killed command
+    does not count, as the system has released it. On shared disks without locks, other
+    commands can write to it.
 
     Raises:
         ValueError: if another command is writing to it.
     """
     from filelock import FileLock, Timeout
 
-    made = not directory.exists()
+    is_new = not directory.exists()
     directory.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(directory / LOCK, timeout=0)
+    lock_file = directory / FILE_NAMES.lock
+    lock = FileLock(lock_file, timeout=0)
     try:
         try:
             lock.acquire()
@@ -162,21 +186,24 @@ def held(directory: Path) -> Iterator[None]:
             raise ValueError(
                 f"another command is writing to {directory}; {remedy}"
             ) from error
-        except (NotImplementedError, OSError):  # on some shared disks
+        except (NotImplementedError, OSError):
+            # Some shared disks have no locks.
             pass
-        with temporary(directory / LOCK):  # removed while it is held
+        # Remove the file before the lock is released.
+        with temporary(lock_file):
             yield
     finally:
         lock.release()
-        if made:
+        if is_new:
             with suppress(OSError):
                 directory.rmdir()
 
 
 @contextmanager
 def temporary(path: Path) -> Iterator[Path]:
-    """Yield a file or directory, and remove it when the block ends or an interrupt ends
-    the process.
+    """Yield a file or directory, and remove it when the block ends.
+
+    It is also removed when an interrupt ends the process.
     """
     _temporary.add(path)
     try:
@@ -193,15 +220,18 @@ def remove_temporary() -> None:
 
 
 def _remove(path: Path) -> None:
-    shutil.rmtree(path, ignore_errors=True)  # leaves files and links
+    """Remove a file, a link or a directory, if there is one."""
+    # This leaves files and links.
+    shutil.rmtree(path, ignore_errors=True)
     with suppress(OSError):
         path.unlink(missing_ok=True)
 
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Let errors of the system name the file that the block writes; the error of a full
-    disk does not by itself.
+    """Let errors of the system name the file that the block writes.
+
+    The error of a full disk does not name it by itself.
 
     Raises:
         OSError: naming the file, in place of any other error of the system.
@@ -258,8 +288,9 @@ def read_arrays(path: Path, most: int) -> dict[str, np.ndarray]:
 
 
 def whole_lines(path: Path) -> StringIO:
-    """Return the text of a file up to its last line break: what follows may be part of
-    a line.
+    """Return the text of a file up to its last line break.
+
+    What follows may be an incomplete line.
 
     Raises:
         OSError: if there is no such file.
@@ -279,7 +310,7 @@ def read_json(path: Path) -> Any:
     return json.loads(path.read_text(encoding="utf-8"))
 
 
-def write_json(file: Path, content: Any) -> None:
+def write_json(file: Path, content: object) -> None:
     """Write indented JSON; the file is whole, or as it was."""
     with replacing(file) as path:
         path.write_text(json.dumps(content, indent=2) + "\n")

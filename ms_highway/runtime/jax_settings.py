@@ -1,7 +1,8 @@
-"""Configure JAX: for low latency or high throughput, with compiled functions on disk."""
+"""Configure JAX for low latency or high throughput, and keep compiled functions."""
 
 import os
 import signal
+import stat
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -10,77 +11,72 @@ from contextvars import ContextVar
 from multiprocessing import get_context, parent_process
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import jax
 from jax.experimental.compilation_cache import compilation_cache
 
 from ms_highway.runtime.sources import import_modules
 
-KERNEL_BYTES = 100_000
-"""Loops with less memory traffic per iteration become one kernel: those of plans and
-decisions, but not those of batches, which run faster as many vectorised kernels.
-"""
-
-WRITABLE_BY_OTHERS = 0o022
-
 
 def low_latency() -> None:
-    """Configure JAX for many small computations on the CPU, before it computes
-    anything.
+    """Configure JAX for many small computations on the CPU, before it computes.
 
     This applies to this process and those that it starts. Much of a plan's time is
     spent on dispatch to another thread and on starting a hundred kernels per iteration.
-    That dispatch is switched off, and XLA compiles loops of up to `KERNEL_BYTES` per
-    iteration as one kernel, by default only much smaller ones. ``XLA_FLAGS`` with that
-    option or with the name of a file are left unchanged. Called after JAX has begun, it
-    makes plans slower.
+    That dispatch is switched off, and XLA compiles larger loops as one kernel, by
+    default only small ones. ``XLA_FLAGS`` with that option or with the name of a file
+    are left unchanged. Called after JAX has begun, it makes plans slower.
 
     The last digits of plans change, and chaotic episodes amplify them: in Stay Back,
     single episodes may end differently, and means over 30 episodes differ in the first
     digit. To reproduce results of the command, call this.
     """
+    # Loops with less memory traffic per iteration become one kernel: those of plans and
+    # decisions, but not those of batches, which run faster as many vectorised kernels.
+    kernel_bytes = 100_000
+
     option = "xla_cpu_small_while_loop_byte_threshold"
-    _add_flag(option, f"--xla_backend_extra_options={option}={KERNEL_BYTES}")
+    _add_flag(option, f"--xla_backend_extra_options={option}={kernel_bytes}")
     jax.config.update("jax_cpu_enable_async_dispatch", False)
 
 
 def high_throughput() -> None:
-    """Configure JAX for many episodes at once (`ms_highway.loop.batch`) on the CPU,
-    before it computes anything.
+    """Configure JAX for many episodes at once on the CPU, before it computes.
 
-    This applies to this process and those that it starts. XLA is limited to
-    instructions of AVX2: wider ones gain little, and make the last digits of a number
-    depend on its place in a batch; chaotic episodes amplify them. ``XLA_FLAGS`` with
-    that option or with the name of a file are left unchanged.
+    See `ms_highway.loop.batch`. This applies to this process and those that it starts.
+    XLA is limited to instructions of AVX2: wider ones gain little, and make the last
+    digits of a number depend on its place in a batch; chaotic episodes amplify them.
+    ``XLA_FLAGS`` with that option or with the name of a file are left unchanged.
     """
     _add_flag("xla_cpu_max_isa", "--xla_cpu_max_isa=AVX2")
 
 
 def _add_flag(option: str, flag: str) -> None:
+    """Add a flag to ``XLA_FLAGS``, unless they name the option or a file of flags."""
     flags = os.environ.get("XLA_FLAGS", "")
-    if option not in flags and (not flags or flags.startswith("-")):
+    names_a_file = flags != "" and not flags.startswith("-")
+    if option not in flags and not names_a_file:
         os.environ["XLA_FLAGS"] = f"{flags} {flag}".strip()
 
 
-_double = ContextVar(
-    "double", default=False
-)  # whether a block asks for double precision
+# Whether a block asks for double precision.
+_double = ContextVar("double", default=False)
 
 
-def single_precision() -> AbstractContextManager[Any]:
-    """Let JAX compute in float32 in a block, even if the user has switched
-    ``jax_enable_x64`` on.
+def single_precision() -> AbstractContextManager[object]:
+    """Let JAX compute in float32 in a block.
+
+    It does so even if the user has switched ``jax_enable_x64`` on.
     """
-    double = jax.config.jax_enable_x64 and not _double.get()  # type: ignore[attr-defined]
-    return jax.enable_x64(False) if double else nullcontext()
+    in_double = jax.config.jax_enable_x64  # type: ignore[attr-defined]
+    if in_double and not _double.get():
+        return jax.enable_x64(False)
+    return nullcontext()
 
 
 @contextmanager
 def double_precision() -> Iterator[None]:
-    """Let JAX compute in float64 in a block, even in blocks of `single_precision`
-    within it.
-    """
+    """Let JAX compute in float64 in a block, and in `single_precision` within it."""
     before = _double.set(True)
     try:
         with jax.enable_x64(True):
@@ -99,10 +95,8 @@ def check_platforms() -> None:
     if platforms and platforms != "cpu":
         try:
             jax.devices()
-        except (
-            AssertionError,
-            RuntimeError,
-        ) as error:  # an assertion if the plugin is not installed
+        except (AssertionError, RuntimeError) as error:
+            # It is an assertion if JAX's plugin for the devices is not installed.
             why = f" ({error})" if str(error) else ""
             remedy = "unset it, or install JAX for these devices"
             raise ValueError(
@@ -113,16 +107,13 @@ def check_platforms() -> None:
 
 def cores() -> int:
     """Return the number of cores that this process may use."""
-    return (
-        len(os.sched_getaffinity(0))
-        if hasattr(os, "sched_getaffinity")
-        else os.cpu_count() or 1
-    )
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 def keep_compilations(directory: Path | str | None = None) -> Path:
-    """Keep compiled functions in a directory for later runs, in JAX's persistent cache;
-    return the directory.
+    """Keep compiled functions for later runs, in JAX's persistent cache.
 
     They are machine code and run unverified, so that nobody else may write to the
     directory. Only JAX's option ``jax_compilation_cache_max_size`` limits its size.
@@ -132,25 +123,24 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
             ``JAX_COMPILATION_CACHE_DIR``, or else ``ms_highway/compiled`` in the user's
             cache directory.
 
+    Returns:
+        The directory.
+
     Raises:
         OSError: if the directory cannot be made, or others can write to it; then
             nothing is kept or used.
     """
-    home = Path(
-        os.environ.get("XDG_CACHE_HOME", "")
-    )  # by the standard, ignored if it is relative
-    usual = (
-        (home if home.is_absolute() else Path.home() / ".cache")
-        / "ms_highway"
-        / "compiled"
-    )
+    # The standard of this variable says: ignore a relative path.
+    user_cache = Path(os.environ.get("XDG_CACHE_HOME", ""))
+    if not user_cache.is_absolute():
+        user_cache = Path.home() / ".cache"
+    usual = user_cache / "ms_highway" / "compiled"
     directory = Path(directory or os.environ.get("JAX_COMPILATION_CACHE_DIR") or usual)
+
+    # Use no cache until the new directory is known to be safe.
     jax.config.update("jax_compilation_cache_dir", None)
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    status = directory.stat()
-    if hasattr(os, "getuid") and (
-        status.st_uid != os.getuid() or status.st_mode & WRITABLE_BY_OTHERS
-    ):
+    if not _is_private(directory):
         why = f"others may write to {directory}, and their machine code would run"
         raise PermissionError(
             f"{why}; choose a directory of your own, or change that: chmod go-w"
@@ -158,16 +148,27 @@ def keep_compilations(directory: Path | str | None = None) -> Path:
         )
     jax.config.update("jax_compilation_cache_dir", str(directory))
     jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.1)
-    compilation_cache.reset_cache()  # or else JAX keeps using an earlier directory
+    # Or else JAX keeps using an earlier directory.
+    compilation_cache.reset_cache()
     return directory
+
+
+def _is_private(directory: Path) -> bool:
+    """Return whether this user alone may write to a directory, where that is known."""
+    if not hasattr(os, "getuid"):
+        return True
+    status = directory.stat()
+    writable_by_others = stat.S_IWGRP | stat.S_IWOTH
+    return status.st_uid == os.getuid() and not status.st_mode & writable_by_others
 
 
 def own_process(
     configure: Callable[[], None],
     modules: Sequence[str] = (),
 ) -> ProcessPoolExecutor:
-    """Start a process that uses this one's compilation cache, and ends when this one
-    ends for any reason.
+    """Start a process that uses this one's compilation cache, and ends with it.
+
+    It ends for whatever reason this one ends.
 
     Args:
         configure: sets JAX up in it, such as
@@ -181,11 +182,10 @@ def own_process(
 
 
 def low_latency_on_core(number: int) -> None:
-    """Keep this process on one of its processors, if the system allows that, and set
-    `low_latency`.
+    """Keep this process on one of its processors, and set `low_latency`.
 
-    The first half of the numbers stands for every second processor, as neighbours may
-    share a core.
+    Where the system cannot do that, only `low_latency` is set. The first half of the
+    numbers stands for every second processor, as neighbours may share a core.
     """
     if hasattr(os, "sched_setaffinity"):
         available = sorted(os.sched_getaffinity(0))
@@ -199,9 +199,11 @@ def _prepare(
     cache: str | None,
     modules: Sequence[str],
 ) -> None:
+    """Prepare a process of `own_process`."""
     Thread(target=_end_with_parent, daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_DFL)  # the command reports interrupts
-    warnings.simplefilter("ignore")  # and has warned of the configuration
+    # The command reports interrupts, and has warned of the configuration.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    warnings.simplefilter("ignore")
     configure()
     if cache is not None:
         keep_compilations(Path(cache))
@@ -209,6 +211,7 @@ def _prepare(
 
 
 def _end_with_parent() -> None:
+    """Wait for the end of the parent process, and then end this one."""
     parent = parent_process()
     assert parent is not None
     parent.join()

@@ -1,5 +1,6 @@
-"""List names of the package, and keep names apart: a name of a user's means one thing,
-whatever was added first.
+"""List names of the package, and keep a user's names apart from others.
+
+A name means one thing, whatever was added first.
 """
 
 import re
@@ -20,9 +21,6 @@ SCENARIO_NAMES = (
 )
 """Names of the package's scenarios, for ids and help texts, which load no JAX."""
 
-VERSIONED = re.compile(r".*-v\d+")
-"""Names of scenarios that end in a version; the other scenarios are at version 0."""
-
 PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
     "a human model": ("naive", "idm", "turn", "tom", "best"),
     "a rule": (
@@ -37,36 +35,45 @@ PACKAGE_NAMES: dict[str, tuple[str, ...]] = {
 before its module is loaded.
 """
 
-_ADDED: dict[str, Callable[[], Iterable[str]]] = {}
+# Functions that return the names that a user has added, by kind.
+_added_names: dict[str, Callable[[], Iterable[str]]] = {}
+
+
+def has_version(scenario: str) -> bool:
+    """Return whether a scenario's name ends in a version; others are at version 0."""
+    return re.fullmatch(r".*-v\d+", scenario) is not None
 
 
 def versioned(scenario: str) -> str:
     """Return the last part of a scenario's id: ``merger-v0`` for ``merger``."""
-    return (
-        scenario
-        if VERSIONED.fullmatch(scenario)
-        else f"{scenario.replace('_', '-')}-v0"
-    )
+    if has_version(scenario):
+        return scenario
+    return f"{scenario.replace('_', '-')}-v0"
 
 
 def environment_class_name(scenario: str) -> str:
-    """Return the name of the class of a scenario's environments: ``MergerV1Env`` for
-    ``merger-v1``.
+    """Return the class name of a scenario's environments.
+
+    This is ``MergerV1Env`` for ``merger-v1``.
     """
-    words = re.split("[_-]", scenario)
-    return f"{''.join(map(str.capitalize, words))}Env"
+    words = [word.capitalize() for word in re.split("[_-]", scenario)]
+    return f"{''.join(words)}Env"
 
 
 def keep_apart(what: str, names: Callable[[], Iterable[str]]) -> None:
-    """Let the names that a function returns be refused for anything else than ``what``,
-    a key of `PACKAGE_NAMES`.
+    """Let names be refused for anything of another kind.
+
+    Args:
+        what: kind of what has these names, a key of `PACKAGE_NAMES`.
+        names: returns the names.
     """
-    _ADDED[what] = names
+    _added_names[what] = names
 
 
 def check_own_name(what: str, name: object, lower: bool = True) -> None:
-    """Check a name for something that a user adds; it may replace a user's of the same
-    kind.
+    """Check a name for something that a user adds.
+
+    It may replace something of the user's of the same kind.
 
     Args:
         what: a key of `PACKAGE_NAMES`.
@@ -77,8 +84,11 @@ def check_own_name(what: str, name: object, lower: bool = True) -> None:
         ValueError: if the package or something else has the name, or if it is not one
             word.
     """
-    others = (names() for other, names in _ADDED.items() if other != what)
-    check_name(what, name, chain(*PACKAGE_NAMES.values(), *others), lower)
+    taken = list(chain(*PACKAGE_NAMES.values()))
+    for kind, names in _added_names.items():
+        if kind != what:
+            taken.extend(names())
+    check_name(what, name, taken, lower)
 
 
 def check_name(
@@ -93,11 +103,10 @@ def check_name(
         ValueError: for such a name.
     """
     taken = dict.fromkeys(taken)
-    word = (
-        isinstance(name, str) and name.isidentifier() and (name.islower() or not lower)
-    )
-    if not word or name in taken:
-        remedy = (
-            f"choose one word{' in lower case' * lower} other than {', '.join(taken)}"
-        )
+    is_word = isinstance(name, str) and name.isidentifier()
+    if lower:
+        is_word = is_word and str(name).islower()
+    if not is_word or name in taken:
+        case = " in lower case" if lower else ""
+        remedy = f"choose one word{case} other than {', '.join(taken)}"
         raise ValueError(f"{what} cannot be called {name!r}; {remedy}")

@@ -1,5 +1,4 @@
-"""Watch over the process: end it on Ctrl-C, refuse to compute in a fork of it, and
-report progress.
+"""Watch over the process: end it on Ctrl-C, and refuse to compute in a fork of it.
 
 **Ctrl-C** ends the command at once, with one sentence, whatever it is doing. Python
 itself raises ``KeyboardInterrupt`` in the main thread between two lines of Python: only
@@ -24,25 +23,26 @@ from typing import NoReturn, TypeAlias
 INTERRUPTED = 128 + signal.SIGINT
 """Exit status of an interrupted command, by the convention of shells."""
 
-RESUMES = ("compare", "sweep", "frontier", "record")
-STOPPED = "ms-highway: stopped" + (
-    "; started again in the same way, it resumes" if {*RESUMES} & {*sys.argv} else ""
-)
-"""Last line of an interrupted command."""
+
+def last_line() -> str:
+    """Return the last line of an interrupted command."""
+    stopped = "ms-highway: stopped"
+    resuming_commands = {"compare", "sweep", "frontier", "record"}
+    if resuming_commands.isdisjoint(sys.argv):
+        return stopped
+    return f"{stopped}; started again in the same way, it resumes"
 
 
 def watch() -> None:
-    """Let interrupts end this process, if it is the command ``ms-highway`` and does not
-    ignore them.
+    """Let interrupts end this process, if it is the command ``ms-highway``.
+
+    Nothing changes if it ignores interrupts.
     """
-    if (
-        not is_command()
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
+    handler = signal.getsignal(signal.SIGINT)
+    if not is_command() or handler is not signal.default_int_handler:
         return
-    signal.pthread_sigmask(
-        signal.SIG_BLOCK, {signal.SIGINT}
-    )  # also in threads and processes that start later
+    # This holds also in threads and processes that start later.
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     from threading import Thread
 
     # Imported for `_end`, which would otherwise wait for imports of the main thread.
@@ -52,44 +52,52 @@ def watch() -> None:
 
 
 def _wait() -> NoReturn:
+    """Wait for an interrupt, and then end this process."""
     signal.sigwait({signal.SIGINT})
     _end()
 
 
 def _end() -> NoReturn:
-    """End this process at once from any thread: write a line to standard error, and
-    remove temporary files.
+    """End this process at once from any thread.
+
+    Write a line to standard error, and remove temporary files.
     """
     from ms_highway.runtime.files import remove_temporary
 
-    after_a_count = "\n" if sys.stderr.isatty() else ""
+    # In a terminal, a count of episodes may stand in the line.
+    line_break = "\n" if sys.stderr.isatty() else ""
+    message = f"{line_break}{last_line()}\n"
     with suppress(OSError):
-        os.write(sys.stderr.fileno(), f"{after_a_count}{STOPPED}\n".encode())
+        os.write(sys.stderr.fileno(), message.encode())
     remove_temporary()
     os._exit(INTERRUPTED)
 
 
 def is_command() -> bool:
-    """Return whether this process was started as ``ms-highway`` or ``python -m
-    ms_highway``, not as a worker of it.
+    """Return whether this process is the command ``ms-highway``, not a worker of it.
+
+    The command may also be started as ``python -m ms_highway``.
     """
     by_module = sys.argv[0] == "-m" and "ms_highway" in sys.orig_argv
-    by_name = os.path.splitext(os.path.basename(sys.argv[0]))[0] == "ms-highway"
-    return (by_module or by_name) and "--multiprocessing-fork" not in sys.orig_argv
+    program, _ = os.path.splitext(os.path.basename(sys.argv[0]))
+    by_name = program == "ms-highway"
+    is_worker = "--multiprocessing-fork" in sys.orig_argv
+    return (by_module or by_name) and not is_worker
 
 
-_forked = False  # whether this process was forked from one in which JAX had begun
+# Whether this process was forked from one in which JAX had begun.
+_forked = False
 
 
 def jax_has_begun() -> bool:
-    """Return whether JAX has begun to compute in this process, or has looked for
-    devices.
-    """
-    bridge = sys.modules.get("jax._src.xla_bridge")  # JAX has no public name for this
+    """Return whether JAX has begun to compute, or has looked for devices."""
+    # JAX has no public name for this.
+    bridge = sys.modules.get("jax._src.xla_bridge")
     return bridge is not None and bridge.backends_are_initialized()
 
 
 def _note_fork() -> None:
+    """Note in a forked process whether JAX had begun before."""
     global _forked
     _forked = _forked or jax_has_begun()
 

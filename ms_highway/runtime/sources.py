@@ -1,6 +1,6 @@
-"""Know the files that results depend on: a user's modules, the files that these read,
-and files that a user names.
+"""Know the files that results depend on.
 
+These are a user's modules, the files that these read, and files that a user names.
 Results of other content of one of these files must not stand in a table beside new
 ones. So each file counts as its digest, and a directory of results keeps the digests,
 see `ms_highway.experiments.directory`.
@@ -11,6 +11,8 @@ import os
 import sys
 import sysconfig
 from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 from types import FrameType
@@ -19,69 +21,62 @@ from typing import TypeAlias
 Sources: TypeAlias = dict[str, str]
 """Digests by the name of a module, or by the path of another file."""
 
-DIGITS = 16
-"""Hexadecimal digits of a digest, 64 bits: two versions of a file share one by no
-chance.
-"""
-
-CODE = (".py", ".pyc", ".pyd", ".so")
-"""Ends of files of code. Modules count by name, however Python reads them."""
-
 PACKAGE = Path(__file__).parents[1]
 
-STANDARD = {
-    Path(sysconfig.get_path(place)).resolve() for place in ("stdlib", "platstdlib")
-}
-"""Directories of Python's own modules."""
 
-INSTALLED = {"site-packages", "dist-packages"}
-"""Names of directories of installed packages, also of other environments that this one
-builds on.
-"""
+@dataclass
+class _Watch:
+    """Hold what this process knows of the user's modules, and of files that it opens.
 
-_notes: dict[
-    str, Sources
-] = {}  # what each module has brought that `import_modules` imported
-_named: tuple[str, ...] = ()  # the modules of the last `import_modules`
-_places: set[Path] = set()  # directories in which, or below, files count that are read
-_code: set[str] = set()  # files of the user's modules, as frames of Python name them
-_loaded: set[str] = set()  # names of all modules whose files are known
-_opened: set[Path] = (
-    set()
-)  # files that have been opened for reading and are not known yet
-_written: set[Path] = (
-    set()
-)  # files that have been opened for writing, such as those of a cache
-_late: Sources = {}  # see `late_sources`
-_imports = (
-    False  # whether `import_modules` imports now; it is the user's code that reads then
-)
-_listens = (
-    False  # whether `_note_opened` is a hook of this process; hooks stay for ever
-)
+    Attributes:
+        modules: of the last `import_modules`.
+        imported: what each of the modules has brought when it was imported.
+        late: what has come since, see `late_sources`.
+        directories: files that are read count in these directories and below.
+        code: files of the user's modules, as frames of Python name them.
+        known_modules: names of all modules whose files are known.
+        opened: files that were opened for reading and are not known yet.
+        written: files that were opened for writing, such as those of a cache.
+        importing: whether `import_modules` imports now: then the user's code reads.
+        listening: whether `_note_opened` is a hook of this process; hooks stay for
+            ever.
+    """
+
+    modules: tuple[str, ...] = ()
+    imported: dict[str, Sources] = field(default_factory=dict)
+    late: Sources = field(default_factory=dict)
+    directories: set[Path] = field(default_factory=set)
+    code: set[str] = field(default_factory=set)
+    known_modules: set[str] = field(default_factory=set)
+    opened: set[Path] = field(default_factory=set)
+    written: set[Path] = field(default_factory=set)
+    importing: bool = False
+    listening: bool = False
+
+
+_watch = _Watch()
 
 
 def import_modules(names: Sequence[str]) -> None:
-    """Import a user's modules, also from the current directory; note the modules and
-    files that these load.
+    """Import a user's modules; note the modules and files that these load.
+
+    Modules of the current directory can be imported, too.
 
     Raises:
         ImportError: naming the module, for any error in it.
     """
-    global _named, _imports
-    _named = tuple(names)
-    _late.clear()
+    _watch.modules = tuple(names)
+    _watch.late.clear()
     if not names:
         return
     sys.path.insert(0, os.getcwd())
-    _places.add(Path.cwd())
+    _watch.directories.add(Path.cwd())
     _listen()
     for name in names:
-        _loaded.clear()
-        _loaded.update(sys.modules)
-        _opened.clear()
-        _written.clear()
-        _imports = True
+        _watch.known_modules = set(sys.modules)
+        _watch.opened.clear()
+        _watch.written.clear()
+        _watch.importing = True
         try:
             importlib.import_module(name)
         except Exception as error:
@@ -93,13 +88,13 @@ def import_modules(names: Sequence[str]) -> None:
                 f"--import {name}: {type(error).__name__}: {error}; {remedy}"
             ) from error
         finally:
-            _imports = False
+            _watch.importing = False
         new = _new_sources()
         file = _file_of(name)
         if name in new:
-            _notes[name] = {name: new[name], **new}
-        elif name not in _notes and file is not None:
-            _notes[name] = {name: digest(file), **new}
+            _watch.imported[name] = {name: new[name], **new}
+        elif name not in _watch.imported and file is not None:
+            _watch.imported[name] = {name: digest(file), **new}
         # Or else it was imported before, and keeps its notes: this process goes on with
         # the code that it has loaded, whatever has happened to the file since.
 
@@ -112,26 +107,27 @@ def imported_sources() -> Sources:
     directory, beside these modules and their packages, or below, except hidden ones.
     This package is left out.
     """
-    return {
-        name: content
-        for module in _named
-        for name, content in _notes.get(module, {}).items()
-    }
+    sources: Sources = {}
+    for module in _watch.modules:
+        sources.update(_watch.imported.get(module, {}))
+    return sources
 
 
 def late_sources() -> Sources:
-    """Return the digests of what was imported and read since the imports, such as in
-    the first step.
+    """Return the digests of what was imported and read after the imports.
 
-    They are of the same kinds as those of `imported_sources`, all by path. Files that
-    this process writes do not count.
+    This may happen in the first step. They are of the same kinds as those of
+    `imported_sources`, all by path. Files that this process writes do not count.
     """
-    if _named:
+    if _watch.modules:
         for name, content in _new_sources().items():
             file = _file_of(name) if name in sys.modules else None
-            _late.setdefault(os.path.relpath(file) if file else name, content)
+            path = os.path.relpath(file) if file else name
+            _watch.late.setdefault(path, content)
     imported = imported_sources()
-    return {name: content for name, content in _late.items() if name not in imported}
+    return {
+        name: content for name, content in _watch.late.items() if name not in imported
+    }
 
 
 def _new_sources() -> Sources:
@@ -140,51 +136,63 @@ def _new_sources() -> Sources:
 
     # Modules, under the digest of their source. What they read may also lie beside
     # their packages.
-    for name in sorted({*sys.modules} - _loaded):
-        _loaded.add(name)
+    for name in sorted({*sys.modules} - _watch.known_modules):
+        _watch.known_modules.add(name)
         file = _file_of(name)
         if file is not None:
             found[name] = digest(file)
-            _code.add(str(file))
-            above = file.absolute().parents
+            _watch.code.add(str(file))
+            parents = file.absolute().parents
             depth = name.count(".") + (file.stem == "__init__")
-            _places.add(above[min(depth, len(above) - 1)])
+            _watch.directories.add(parents[min(depth, len(parents) - 1)])
 
-    # Other files, such as the weights of a driver.
-    opened = {*_opened}
-    _opened.difference_update(opened)
-    for path in sorted(opened - _written):
-        near = [
-            place
-            for place in _places
-            if path.is_relative_to(place) and place != Path(path.anchor)
-        ]
-        hidden = any(
-            part.startswith(".")
-            for place in near
-            for part in path.relative_to(place).parts
-        )
-        if near and not hidden and path.is_file() and is_own(path):
+    # Other files, such as the weights of a driver. Take a copy of the set, as hooks may
+    # add files meanwhile.
+    opened = {*_watch.opened}
+    _watch.opened.difference_update(opened)
+    for path in sorted(opened - _watch.written):
+        if _counts(path) and path.is_file() and is_own(path):
             found[os.path.relpath(path)] = digest(path)
     return found
 
 
+def _counts(path: Path) -> bool:
+    """Return whether a file lies below a directory that counts, and is not hidden."""
+    above = []
+    for directory in _watch.directories:
+        is_root = directory == Path(path.anchor)
+        if path.is_relative_to(directory) and not is_root:
+            above.append(directory)
+
+    for directory in above:
+        parts = path.relative_to(directory).parts
+        if any(part.startswith(".") for part in parts):
+            return False
+    return bool(above)
+
+
 def _file_of(name: str) -> Path | None:
-    """Return the file of a loaded module; None for one of a package, or without a file."""
+    """Return the file of a user's module that is loaded; None for other modules."""
     file = Path(getattr(sys.modules[name], "__file__", None) or "")
-    exists = (
-        file.is_file()
-    )  # packages such as PyTorch make modules that only claim a file
-    return (
-        file
-        if exists and name.partition(".")[0] != "ms_highway" and is_own(file)
-        else None
-    )
+    top_level, _, _ = name.partition(".")
+    # Packages such as PyTorch make modules that only claim a file.
+    if file.is_file() and top_level != "ms_highway" and is_own(file):
+        return file
+    return None
 
 
 def digest_of(content: bytes) -> str:
     """Return the digest of some content."""
-    return sha256(content).hexdigest()[:DIGITS]
+    return _shortened(sha256(content).hexdigest())
+
+
+def _shortened(hexadecimal: str) -> str:
+    """Return the first 64 bits of a digest.
+
+    Two versions of a file share them by no chance.
+    """
+    digits = 16
+    return hexadecimal[:digits]
 
 
 def digest(file: Path) -> str:
@@ -206,57 +214,70 @@ def digest(file: Path) -> str:
 
 def package_digest() -> str:
     """Return the digest of all code and data of this package."""
-    directories = (
-        PACKAGE,
-        PACKAGE / "envs",
-    )  # a link in a checkout, which rglob does not follow
+    # In a checkout, envs is a link, which rglob does not follow.
+    directories = (PACKAGE, PACKAGE / "envs")
     files = {file for directory in directories for file in directory.rglob("*")}
     whole = sha256()
     for file in sorted(files):
         if file.is_file() and file.suffix != ".pyc":
             whole.update(file.relative_to(PACKAGE).as_posix().encode())
             whole.update(file.read_bytes())
-    return whole.hexdigest()[:DIGITS]
+    return _shortened(whole.hexdigest())
 
 
 def _listen() -> None:
     """Begin to note the files that Python opens."""
-    global _listens
-    if not _listens:
+    if not _watch.listening:
         sys.addaudithook(_note_opened)
-        _listens = True
+        _watch.listening = True
 
 
 def _note_opened(event: str, arguments: tuple) -> None:
     """Note a file that Python opens; see `sys.addaudithook`."""
-    if event != "open" or not _named:
+    if event != "open" or not _watch.modules:
         return
     path, _, flags = arguments
-    if isinstance(path, (str, bytes, os.PathLike)):
-        file = Path(os.fsdecode(path)).absolute()
-        writes = flags & (os.O_WRONLY | os.O_RDWR)
-        if writes:
-            _written.add(file)
-        elif file.suffix not in CODE and (_imports or _called_by_user()):
-            _opened.add(file)
+    if not isinstance(path, (str, bytes, os.PathLike)):
+        return
+    file = Path(os.fsdecode(path)).absolute()
+    writes = flags & (os.O_WRONLY | os.O_RDWR)
+    if writes:
+        _watch.written.add(file)
+        return
+    # Modules count by name, however Python reads them.
+    is_code = file.suffix in (".py", ".pyc", ".pyd", ".so")
+    if not is_code and (_watch.importing or _called_by_user()):
+        _watch.opened.add(file)
 
 
 def _called_by_user() -> bool:
-    """Return whether code of the user's is running, and not only this package, which
-    reads results.
+    """Return whether code of the user's is running.
+
+    Otherwise this package alone is running, which reads results.
     """
     frame: FrameType | None = sys._getframe()
     while frame is not None:
-        if frame.f_code.co_filename in _code:
+        if frame.f_code.co_filename in _watch.code:
             return True
         frame = frame.f_back
     return False
 
 
 def is_own(file: Path) -> bool:
-    """Return whether a file belongs neither to Python, nor to an installed package, nor
-    to this one.
+    """Return whether a file is the user's own.
+
+    It belongs neither to Python, nor to an installed package, nor to this one.
     """
     above = {*file.parents, *file.resolve().parents}
-    installed = INSTALLED & {place.name for place in above}
-    return not installed and not above & {*STANDARD, PACKAGE, PACKAGE.resolve()}
+    names = {directory.name for directory in above}
+    # Directories of installed packages, also of environments that this one builds on.
+    is_installed = "site-packages" in names or "dist-packages" in names
+    foreign = {*_standard_library(), PACKAGE, PACKAGE.resolve()}
+    return not is_installed and above.isdisjoint(foreign)
+
+
+@cache
+def _standard_library() -> tuple[Path, ...]:
+    """Return the directories of Python's own modules."""
+    names = ("stdlib", "platstdlib")
+    return tuple(Path(sysconfig.get_path(name)).resolve() for name in names)

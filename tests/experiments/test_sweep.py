@@ -14,7 +14,7 @@ import pytest
 from commands import run
 from distributed import LocalCluster
 
-from ms_highway.runtime.files import LOCK
+from ms_highway.runtime.files import FILE_NAMES
 
 SWEEP = (
     "sweep stay_back --set ladder=naive, --controllers naive random:naive=1"
@@ -67,10 +67,10 @@ def test_a_killed_sweep_resumes_on_fewer_devices_to_the_same_bytes(swept, tmp_pa
     process.kill()
     process.wait()
     assert not (out / "summary.csv").exists()
-    assert (out / LOCK).exists()
+    assert (out / FILE_NAMES.lock).exists()
     run(f"{SWEEP} {out}")
     assert contents(out) == contents(swept)
-    assert not (out / LOCK).exists()
+    assert not (out / FILE_NAMES.lock).exists()
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import pytest
 
-from ms_highway.runtime.files import LOCK, file_name, held, replacing, tidy
+from ms_highway.runtime.files import FILE_NAMES, file_name, locked, replacing, tidy
 
 SIZE = 20_000  # bytes
 
@@ -44,29 +44,28 @@ def test_a_file_that_several_write_is_always_whole(tmp_path):
     assert list(tmp_path.iterdir()) == [file]
 
 
-def test_a_directory_is_held_by_one_command_at_a_time(
-    tmp_path,
-):
+def test_one_command_at_a_time_writes_to_a_directory(tmp_path):
     directory = tmp_path / "out"
     (directory / "steps").mkdir(parents=True)
     for name in (
-        LOCK,
+        FILE_NAMES.lock,
         f"steps/.part.{16 * 'a'}.settings.json",
         ".part.notes.txt",
         "download.part",
     ):
-        (directory / name).touch()  # the lock of a killed command holds nothing
-    with held(directory):
+        # The file of a killed command locks nothing.
+        (directory / name).touch()
+    with locked(directory):
         tidy(directory)
         assert not list((directory / "steps").iterdir())
         with (
             pytest.raises(
                 ValueError, match=f"another command is writing to {directory}; wait"
             ),
-            held(directory),
+            locked(directory),
         ):
             pass
-    with held(directory), held(tmp_path / "other"):
+    with locked(directory), locked(tmp_path / "other"):
         pass
     assert {path.name for path in directory.iterdir()} == {
         "steps",

@@ -69,7 +69,7 @@ from itertools import count
 import jax
 import numpy as np
 
-from ms_highway.runtime.compilation import CHUNK, share_among
+from ms_highway.runtime.compilation import GROUP_SIZES, share_among
 
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
@@ -77,13 +77,14 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 def long(items):
     return jax.lax.fori_loop(0, 1_000_000, lambda _, x: jax.numpy.sin(x), items)
 
-items = np.zeros((CHUNK, 40), np.float32)
+chunk = GROUP_SIZES.cpu_chunk
+items = np.zeros((chunk, 40), np.float32)
 main = threading.get_ident()
 # Compile first: meanwhile an interrupt may be lost.
-share_among(jax.local_devices(), long, items, CHUNK)
+share_among(jax.local_devices(), long, items, chunk)
 threading.Timer(0.2, lambda: signal.pthread_kill(main, signal.SIGINT)).start()
 try:
-    all(share_among(jax.local_devices(), long, items, CHUNK).size for _ in count())
+    all(share_among(jax.local_devices(), long, items, chunk).size for _ in count())
 except KeyboardInterrupt:
     names = [thread.name for thread in threading.enumerate()]
     print([name for name in names if name.startswith("ThreadPool")])
