@@ -92,8 +92,9 @@ class Batch:
 
     def keys(self) -> list[Key]:
         """Return all episodes of the scenario, controller by controller."""
-        controllers = self.comparison.controllers[self.environment.scenario.name]
-        return [*product(controllers, self.comparison.seed_range)]
+        scenario = self.environment.scenario.name
+        controllers = self.comparison.controllers[scenario]
+        return list(product(controllers, self.comparison.seed_range))
 
     def simulate(self, keys: Sequence[Key], devices: Devices | None = None) -> Records:
         """Simulate episodes, together if their controllers differ only in lambda.
@@ -102,23 +103,27 @@ class Batch:
             keys: the episodes.
             devices: see `ms_highway.loop.batch.simulate`.
         """
-        # Group the places of the episodes by what their controllers have in common.
+        # Group the indices of the episodes by what their controllers have in common.
         # Orders differ only in their schedules, which are inputs of the simulation.
         groups: dict[tuple[ControllerSettings | None, bool], list[int]] = {}
-        for place, (name, _) in enumerate(keys):
-            settings = self.settings(name)
+        for index, (controller, _) in enumerate(keys):
+            settings = self.settings(controller)
             rule = settings.without_price() if settings.chooses else None
-            groups.setdefault((rule, settings.belief), []).append(place)
+            group = groups.setdefault((rule, settings.belief), [])
+            group.append(index)
 
         parts = []
-        for places in groups.values():
-            own = [keys[place] for place in places]
-            loop = self.loop_of(own[0][0])
-            parts.append(simulate(loop, self.episodes(own), devices))
+        for indices in groups.values():
+            keys_of_group = [keys[index] for index in indices]
+            controller, _ = keys_of_group[0]
+            loop = self.loop_of(controller)
+            episodes = self.episodes(keys_of_group)
+            parts.append(simulate(loop, episodes, devices))
 
         # Return to the order of the keys.
-        order = np.argsort(np.concatenate(list(groups.values())))
-        return jax.tree.map(lambda *part: np.concatenate(part)[order], *parts)
+        indices_of_parts = np.concatenate(list(groups.values()))
+        order = np.argsort(indices_of_parts)
+        return jax.tree.map(lambda *arrays: np.concatenate(arrays)[order], *parts)
 
     def settings(self, controller: str) -> ControllerSettings:
         """Return the settings of a controller, by short name.
@@ -139,19 +144,19 @@ class Batch:
         settings = self.settings(controller)
         rule = self.loop.rule
         if settings.chooses:
-            start = self.environment.settings.start(
-                self.steps, np.random.default_rng(), self.costs
-            )
+            random = np.random.default_rng()
+            start = self.environment.settings.start(self.steps, random, self.costs)
             rule = compilable(settings.rule(start))
         return replace(self.loop, rule=rule, belief=settings.belief)
 
     def episodes(self, keys: Sequence[Key]) -> Episodes:
         """Return the inputs of episodes, drawn as at a reset of the environment."""
         drawn = []
-        for name, seed in keys:
+        for controller, seed in keys:
             random, _ = seeding.np_random(seed)
-            settings = self.settings(name)
-            drawn.append(draw_start(self.environment, self.loop, settings, random))
+            settings = self.settings(controller)
+            start = draw_start(self.environment, self.loop, settings, random)
+            drawn.append(start)
         return stack_episodes(drawn)
 
     def steps_table(self, keys: Sequence[Key], records: Records) -> pd.DataFrame:
@@ -160,17 +165,20 @@ class Batch:
         states = np.asarray(records.states, float)  # [episodes, steps, cars, 4]
 
         # The most expensive model in use among the humans of a step.
-        known = cheapest_first(self.models)
-        ranks = np.array([known.index(name) for name in self.models])
-        dearest = np.array(known)[ranks[records.rungs].max(axis=2)]
+        by_cost = cheapest_first(self.models)
+        ranks = np.array([by_cost.index(name) for name in self.models])
+        highest_rank = ranks[records.rungs].max(axis=2)  # [episodes, steps]
+        most_expensive = np.array(by_cost)[highest_rank]
 
         # Gains by model, each [episodes, steps].
         gains = highest_gains(np.asarray(records.gains))
-        gain_by_rung = dict(zip(self.rungs, np.moveaxis(gains, -1, 0), strict=True))
+        gains_of_rungs = np.moveaxis(gains, -1, 0)
+        gain_by_rung = dict(zip(self.rungs, gains_of_rungs, strict=True))
 
         # Whether the robot has succeeded so far.
-        arrived = self.loop.game.scene.is_reached(states[:, :, 0, 1])
-        collided_before = np.logical_or.accumulate(records.collision, axis=1)
+        y = states[:, :, 0, 1]
+        is_in_lane = self.loop.game.scene.is_reached(y)
+        has_collided = np.logical_or.accumulate(records.collision, axis=1)
 
         # Cells that are the same in an episode or in a step are broadcast below.
         cells = {
@@ -178,22 +186,24 @@ class Batch:
             "controller": np.array(names, object)[:, None],
             "seed": np.array(seeds)[:, None],
             "step": np.arange(self.steps),
-            "model": dearest,
+            "model": most_expensive,
             "reward": np.asarray(records.reward, float),
             "collision": records.collision,
             "counted_seconds": self.costs.total(records.planned),
             "status": np.array(STATUSES)[records.status],
-            "success": arrived & ~collided_before,
+            "success": is_in_lane & ~has_collided,
             **by_column(gain_by_rung, states),
         }
         for rung, name in enumerate(self.rungs):
             cells[f"humans_{name}"] = np.sum(records.rungs == rung, axis=2)
 
+        shape = records.reward.shape  # (episodes, steps)
         table = {}
         for name in self.comparison.columns():
-            if name not in MEASURED:
-                cell = np.broadcast_to(cells.get(name, np.nan), records.reward.shape)
-                table[name] = cell.ravel()
+            if name in MEASURED:
+                continue
+            column = np.broadcast_to(cells.get(name, np.nan), shape)
+            table[name] = column.ravel()
         return pd.DataFrame(table)
 
     def tables(self, keys: Sequence[Key], devices: Devices | None = None) -> Tables:
@@ -207,11 +217,13 @@ class Batch:
         Raises:
             ValueError: for a reward that is not finite.
         """
-        steps = self.steps_table(keys, self.simulate(keys, devices))
+        records = self.simulate(keys, devices)
+        steps = self.steps_table(keys, records)
         episodes = per_episode(steps, self.models)
-        names = episodes["controller"].unique()
-        prices = {name: self.settings(name).price for name in names}
-        episodes.insert(len(KEYS), "price", episodes["controller"].map(prices))
+
+        controllers = episodes["controller"]
+        price_of = {name: self.settings(name).price for name in controllers.unique()}
+        episodes.insert(len(KEYS), "price", controllers.map(price_of))
         check_table(episodes)
         return {"steps": steps, "episodes": episodes}
 
@@ -247,8 +259,8 @@ def make_batch(comparison: Comparison, scenario: str) -> Batch:
         name: own.controller for name, own in zip(names, settings, strict=True)
     }
     loop = shared_loop(environment, controllers.values())
-    known = environment.settings.costs_of(loop.models)
-    costs = known.select(model.name for model in loop.models)
+    costs_by_name = environment.settings.costs_of(loop.models)
+    costs = costs_by_name.select(model.name for model in loop.models)
     batch = Batch(comparison, environment, controllers, costs, loop)
     # Refuse now what could not be simulated later.
     for name in names:

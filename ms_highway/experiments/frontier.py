@@ -1,9 +1,8 @@
 """Search for the best orders of models, and compute the regret of controllers.
 
-The regret is by how much they fall short of the best orders.
-From a known start, an episode is deterministic, so no rule for choosing models earns
-more than the best order of models for this start. The order that a search finds is as
-good as that, or worse.
+The regret is by how much they fall short of the best orders. From a known start, an
+episode is deterministic, so no rule for choosing models earns more than the best order
+of models for this start. The order that a search finds is as good as that, or worse.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -67,8 +66,8 @@ class Outcomes:
         self.batch = batch
         self._file = file
         self._devices = devices
-        empty = pd.DataFrame(columns=[*self.index, *self.columns])
-        self.table = empty.set_index(self.index)
+        no_episodes = pd.DataFrame(columns=[*self.index, *self.columns])
+        self.table = no_episodes.set_index(self.index)
         if file.exists():
             with reading(file, "remove it or choose another directory"):
                 self.table = self._read(file)
@@ -83,11 +82,14 @@ class Outcomes:
         # Python's float restores exactly the numbers that were written.
         known = pd.read_csv(whole_lines(file), converters=self.columns)
         check_table(known)
-        own = self.batch.environment.scenario.name
-        others = {*known["scenario"]} - {own}
+        scenario = self.batch.environment.scenario.name
+        others = {*known["scenario"]} - {scenario}
         if others:
-            raise ValueError(f"it holds episodes of {min(others)!r}, not of {own!r}")
-        repeated = known[self.index][known.duplicated(self.index)]
+            raise ValueError(
+                f"it holds episodes of {min(others)!r}, not of {scenario!r}"
+            )
+        is_repeated = known.duplicated(self.index)
+        repeated = known[self.index][is_repeated]
         if len(repeated):
             controller, seed = repeated.to_numpy().tolist()[0]
             raise ValueError(
@@ -97,11 +99,12 @@ class Outcomes:
 
     def of(self, keys: Sequence[Key]) -> pd.DataFrame:
         """Return the rows of episodes, in order; simulate and keep unknown ones."""
-        lacking = [key for key in dict.fromkeys(keys) if key not in self.table.index]
-        if lacking:
-            episodes = self.batch.tables(lacking, self._devices)["episodes"]
-            fresh = episodes.set_index(self.index)[list(self.columns)]
-            self.table = pd.concat([self.table, fresh]) if len(self.table) else fresh
+        different_keys = dict.fromkeys(keys)
+        unknown = [key for key in different_keys if key not in self.table.index]
+        if unknown:
+            tables = self.batch.tables(unknown, self._devices)
+            new = tables["episodes"].set_index(self.index)[list(self.columns)]
+            self.table = pd.concat([self.table, new]) if len(self.table) else new
             write_table(self.table.reset_index(), self._file)
         return self.table.loc[list(keys)]
 
@@ -114,12 +117,17 @@ def controller_name(models: Sequence[str], order: Array) -> str:
         order: rung of all humans in each step.
     """
     names = [models[rung] for rung in order]
-    stretches = [f"{name}={len(list(steps))}" for name, steps in groupby(names)]
+    stretches = []
+    for name, steps in groupby(names):
+        length = len(list(steps))
+        stretches.append(f"{name}={length}")
+
     last = names[-1]
     if len(stretches) == 1:
         return last
     # The last model is kept until the end.
-    return "schedule:" + ",".join([*stretches[:-1], last])
+    parts = [*stretches[:-1], last]
+    return f"schedule:{','.join(parts)}"
 
 
 def search(
@@ -156,11 +164,13 @@ def search(
     steps = np.arange(batch.steps)
 
     # Round 1: one rung after another one, with a change at one of at most 12 steps.
-    changes = np.unique(np.round(np.geomspace(1, batch.steps, 12)).astype(int))
+    spaced = np.round(np.geomspace(1, batch.steps, 12))
+    steps_of_change = np.unique(spaced.astype(int))
     orders: dict[str, np.ndarray] = {}
-    for change, (first, second) in product(changes, product(rungs, rungs)):
+    for change, first, second in product(steps_of_change, rungs, rungs):
         order = np.where(steps < change, first, second)
-        orders[controller_name(batch.rungs, order)] = order
+        name = controller_name(batch.rungs, order)
+        orders[name] = order
     tried: dict[Key, None] = {(name, seed): None for seed in seeds for name in orders}
 
     # Further rounds: mutants of the best order of each start and price.
@@ -168,9 +178,9 @@ def search(
         rows = outcomes.of(list(tried))
         leaders = {price: best(rows, seeds, price)["controller"] for price in prices}
         for seed, price in product(seeds, prices):
-            leader = orders[leaders[price][seed]]
+            leader = leaders[price][seed]
             for _ in range(population):
-                order = mutant(random, leader, len(rungs))
+                order = mutant(random, orders[leader], len(rungs))
                 name = controller_name(batch.rungs, order)
                 orders[name] = order
                 tried[name, seed] = None
@@ -205,7 +215,8 @@ def best(table: pd.DataFrame, seeds: Sequence[int], price: float) -> pd.DataFram
         seeds: seeds of the starts.
         price: lambda [reward per second].
     """
-    rows = _with_meta_reward(table.query("seed in @seeds"), price).reset_index()
+    from_starts = table.query("seed in @seeds")
+    rows = _with_meta_reward(from_starts, price).reset_index()
     best_rows = rows.groupby("seed")["meta_reward"].idxmax()
     return rows.loc[best_rows].set_index("seed")
 
@@ -240,10 +251,11 @@ def regrets(
 
     # The best order for all starts, among those that were tried from every start.
     by_start = table["meta_reward"].unstack("seed")[list(seeds)]
-    everywhere = by_start.dropna().mean(axis=1)
-    kinds = everywhere.index.map(lambda name: controller_config(name)["type"])
-    orders = everywhere[kinds.isin(fixed_order_types())]
-    names = dict.fromkeys([*controllers, str(orders.idxmax())])
+    means = by_start.dropna().mean(axis=1)
+    kinds = means.index.map(lambda name: controller_config(name)["type"])
+    means_of_orders = means[kinds.isin(fixed_order_types())]
+    best_order = str(means_of_orders.idxmax())
+    names = dict.fromkeys([*controllers, best_order])
 
     def row(name: str, kind: str, own: pd.DataFrame) -> dict:
         """Return the row of a controller, from its rows by seed."""
@@ -261,8 +273,10 @@ def regrets(
 
     rows = []
     for name in names:
-        own = table.loc[[(name, seed) for seed in seeds]].droplevel("controller")
-        rows.append(row(name, controller_config(name)["type"], own))
+        keys = [(name, seed) for seed in seeds]
+        own = table.loc[keys].droplevel("controller")
+        kind = controller_config(name)["type"]
+        rows.append(row(name, kind, own))
     rows.append(row(BEST_PER_START, "search", best_rows))
     return pd.DataFrame(rows)
 

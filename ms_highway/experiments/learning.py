@@ -24,7 +24,6 @@ from ms_highway.experiments.batch import Batch, make_batch
 from ms_highway.experiments.comparison import Comparison
 from ms_highway.experiments.directory import ResultsDirectory, this_run
 from ms_highway.experiments.rollouts import (
-    SEVERAL,
     LearningSettings,
     Random,
     Rollouts,
@@ -96,7 +95,8 @@ def prepare(
     Raises:
         ValueError: naming what prevents learning.
     """
-    batches = [make_batch(comparison, scenario) for scenario in comparison.controllers]
+    scenarios = comparison.controllers
+    batches = [make_batch(comparison, scenario) for scenario in scenarios]
     models = cheapest_first(name for batch in batches for name in batch.rungs)
     several = batches[0].humans > 1
     if any((batch.humans > 1) != several for batch in batches):
@@ -118,14 +118,14 @@ def prepare(
     provenance = {
         **comparison.common_config(),
         "versions": this_run()["versions"],
-        "scenarios": list(comparison.controllers),
+        "scenarios": list(scenarios),
         "seed": seed,
         # Of plans, where "horizon" is that of rollouts; a list if scenarios differ.
         "planning_horizon": horizons[0] if len(horizons) == 1 else horizons,
     }
 
     # Numbers that differ from the defaults.
-    own: dict = dict(SEVERAL) if several else {}
+    own: dict = dict(LearningSettings.for_several_humans) if several else {}
     if rounds:
         own["rounds"] = rounds
     if horizon:
@@ -152,7 +152,8 @@ def fit_values(
     """
     random = _stream(learning, number, Stream.FIT)
     names = description_names()
-    network = new_network(random, len(names), len(learning.costs) - 1)
+    models = tuple(learning.costs)
+    network = new_network(random, len(names), len(models) - 1)
     centre = np.zeros(len(names))
     spread = np.ones(len(names))
     if done:
@@ -160,11 +161,17 @@ def fit_values(
         gains = np.concatenate([part.gains for part in done])
         centre = descriptions.mean(axis=0)
         spread = descriptions.std(axis=0) + FIT.min_spread
-        standard = np.float32((descriptions - centre) / spread)
-        # Places of the examples of every gradient step and network.
+        standard = (descriptions - centre) / spread
+
+        # Indices of the examples of every gradient step and network.
         size = (FIT.steps, FIT.networks, FIT.examples)
         chosen = random.integers(len(descriptions), size=size)
-        fitted_network = _fit(network, chosen, standard, np.float32(gains))
+        fitted_network = _fit(
+            network,
+            chosen,
+            np.float32(standard),
+            np.float32(gains),
+        )
         network = jax.tree.map(np.asarray, fitted_network)
     provenance = {
         **learning.settings,
@@ -173,7 +180,7 @@ def fit_values(
         "horizon": learning.horizon,
         "held": learning.held,
     }
-    return Values(network, centre, spread, tuple(learning.costs), names, provenance)
+    return Values(network, centre, spread, models, names, provenance)
 
 
 def _stream(learning: LearningSettings, *place: int) -> Random:
@@ -206,9 +213,8 @@ def learn(
     # A run is resumed only in the same games.
     games = [_fingerprint(batch) for batch in batches]
     results = ResultsDirectory(kept)
-    settings = results.take_up(
-        {**asdict(learning), "games": games}, batches[0].comparison.sources()
-    )
+    sources = batches[0].comparison.sources()
+    settings = results.take_up({**asdict(learning), "games": games}, sources)
     results.write_settings(settings)
 
     values = fit_values(learning, [], 0)
@@ -218,12 +224,15 @@ def learn(
         for place, batch in enumerate(batches):
             file = kept / f"{number}-{place}.npz"
             if not file.exists():
+                # The rule of the last fit drives, on the ladder of the scenario.
                 seconds = {name: learning.costs[name] for name in batch.rungs}
                 costs = Costs.of(seconds, batch.humans)
                 rule = values.rule(ladder(batch.rungs), costs, learning.prices[0])
                 simulator = RolloutSimulator(batch, learning, rule, is_later, devices)
+
                 random = _stream(learning, number, Stream.ROLLOUTS, place)
-                found = simulator.roll_out(random, learning.states[is_later])
+                count = learning.states[is_later]
+                found = simulator.roll_out(random, count)
                 results.add_late_sources(settings, late_sources())
                 with replacing(file) as path:
                     np.savez(path, **found._asdict())
@@ -236,12 +245,11 @@ def learn(
 
 def _fingerprint(batch: Batch) -> tuple[str, int, list[str], int]:
     """Return what tells the game of a scenario apart from others."""
-    numbers = [
-        np.asarray(leaf, np.float32).tobytes()
-        for leaf in jax.tree.leaves(batch.loop.game)
-    ]
+    leaves = jax.tree.leaves(batch.loop.game)
+    numbers = [np.asarray(leaf, np.float32).tobytes() for leaf in leaves]
     checksum = crc32(b"".join(numbers))
-    return batch.environment.scenario.name, batch.steps, batch.rungs, checksum
+    scenario = batch.environment.scenario.name
+    return scenario, batch.steps, batch.rungs, checksum
 
 
 def read_rollouts(file: Path) -> Rollouts:
@@ -253,7 +261,9 @@ def read_rollouts(file: Path) -> Rollouts:
     with reading(file, "remove it, or choose another --out"):
         # It is not compressed, so its arrays are not larger than the file.
         kept = Rollouts(**read_arrays(file, file.stat().st_size))
-        if not np.isfinite(kept.descriptions).all() or not (kept.gains < np.inf).all():
+        are_finite = np.isfinite(kept.descriptions).all()
+        # A gain is -inf where a rung is not on the ladder.
+        if not are_finite or not (kept.gains < np.inf).all():
             raise ValueError("it holds numbers that are not finite")
     return kept
 
@@ -269,8 +279,9 @@ def new_network(random: Random, inputs: int, means: int) -> Network:
         inputs: number of inputs.
         means: number of gains; the networks have a mean and a spread of each.
     """
+    widths = [inputs, *FIT.hidden, 2 * means]
     layers = []
-    for before, after in pairwise([inputs, *FIT.hidden, 2 * means]):
+    for before, after in pairwise(widths):
         drawn = random.normal(size=(FIT.networks, before, after))
         weights = (drawn / np.sqrt(before)).astype(np.float32)
         biases = np.zeros((FIT.networks, after), np.float32)
@@ -295,7 +306,8 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
 
     def predict(network: Network, inputs: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Return the mean and the spread of each gain, by one network of its own."""
-        means, spreads = outputs(jax.tree.map(lambda part: part[None], network), inputs)
+        single_network = jax.tree.map(lambda weights: weights[None], network)
+        means, spreads = outputs(single_network, inputs)
         return means[0], noise(spreads[0])
 
     def loss(network: Network, chosen: Array) -> Array:
@@ -303,6 +315,8 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         predict_all = jax.vmap(jax.vmap(predict, in_axes=(None, 0)))
         # [networks, examples, rungs above the first]
         means, spreads = predict_all(network, jnp.asarray(inputs)[chosen])
+
+        # Models off the ladder, with gains of -inf, do not count.
         counts = jnp.isfinite(gains[chosen])
         errors = means - jnp.where(counts, gains[chosen], 0)
 
@@ -310,7 +324,8 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         # than their likelihood says (Seitzer et al. 2022).
         surprise = errors**2 / (2 * spreads**2) + jnp.log(spreads)
         surprise *= jax.lax.stop_gradient(spreads)
-        return jnp.where(counts, surprise, 0).sum(axis=-1).mean(axis=-1).sum()
+        counted = jnp.where(counts, surprise, 0)
+        return counted.sum(axis=-1).mean(axis=-1).sum()
 
     rate = optax.cosine_decay_schedule(FIT.rate, len(chosen))
     optimizer = optax.adamw(rate, weight_decay=FIT.decay)
@@ -325,7 +340,6 @@ def _fit(network: Network, chosen: Array, inputs: Array, gains: Array) -> Networ
         updates, state = optimizer.update(gradient, state, network)
         return (optax.apply_updates(network, updates), state), None
 
-    (network, _), _ = jax.lax.scan(
-        step, (network, optimizer.init(network)), jnp.asarray(chosen)
-    )
+    start = (network, optimizer.init(network))
+    (network, _), _ = jax.lax.scan(step, start, jnp.asarray(chosen))
     return network

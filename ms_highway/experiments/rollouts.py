@@ -54,7 +54,7 @@ class Rollouts(NamedTuple):
 class LearningSettings:
     """Settings of learning.
 
-    The defaults are for one human, `SEVERAL` those for several.
+    The defaults are for one human; `for_several_humans` has those for several.
 
     Attributes:
         costs: T(M) of the models of the ladder, cheapest first [s].
@@ -75,6 +75,19 @@ class LearningSettings:
         settings: further entries of the provenance of the values.
     """
 
+    for_several_humans: ClassVar[Mapping] = {
+        "prices": (30.0, 30.0),
+        "rounds": 2,
+        "states": (100, 100),
+        "horizon": 25,
+        "held": 25,
+        "noise": 1.0,
+        "states_of_an_episode": 6,
+        "stays": 0.9,
+        "min_likely": 0.3,
+    }
+    """Settings of learning among several humans, where others differ."""
+
     costs: Mapping[str, float]
     prices: tuple[float, float] = (1e-3, 10.0)
     rounds: int = 4
@@ -87,20 +100,6 @@ class LearningSettings:
     min_likely: float = 1.0
     seed: int = 0
     settings: Mapping = field(default_factory=dict)
-
-
-SEVERAL: dict = {
-    "prices": (30.0, 30.0),
-    "rounds": 2,
-    "states": (100, 100),
-    "horizon": 25,
-    "held": 25,
-    "noise": 1.0,
-    "states_of_an_episode": 6,
-    "stays": 0.9,
-    "min_likely": 0.3,
-}
-"""Settings of learning among several humans."""
 
 
 @dataclass(frozen=True)
@@ -132,12 +131,18 @@ class RolloutSimulator:
         `LearningSettings.noise`. It has the mean of the draws, and their standard
         deviation times ``sqrt(c^2 + (1 - c)^2)``.
         """
-        drawn = [self.batch.environment.draw_episode(random) for _ in range(2 * count)]
-        starts, weights = zip(*drawn, strict=True)
-        first = np.array(starts, np.float32)[::2]
-        second = np.array(starts, np.float32)[1::2]
-        c = random.uniform(1.0, self.settings.noise, (count, 1, 1)).astype(np.float32)
-        return first + c * (second - first), np.array(weights, np.float32)[::2]
+        environment = self.batch.environment
+        drawn = [environment.draw_episode(random) for _ in range(2 * count)]
+        drawn_starts, drawn_weights = zip(*drawn, strict=True)
+        starts = np.array(drawn_starts, np.float32)  # [2 * episodes, cars, 4]
+        weights = np.array(drawn_weights, np.float32)  # [2 * episodes, humans, ...]
+
+        # Starts come in pairs a, b; the weights are those of a.
+        a = starts[::2]
+        b = starts[1::2]
+        c = random.uniform(1.0, self.settings.noise, (count, 1, 1))
+        c = c.astype(np.float32)
+        return a + c * (b - a), weights[::2]
 
     def orders(self, random: Random, count: int) -> Schedules:
         """Draw orders of models that keep their rungs for some steps.
@@ -148,12 +153,13 @@ class RolloutSimulator:
         rungs = len(self.batch.rungs)
         steps = self.batch.steps
         orders = np.zeros((count, steps, self.batch.humans), np.int32)
-        shares = random.dirichlet(np.ones(rungs), count)
-        for order, share in zip(orders, shares, strict=True):
-            drawn = random.choice(rungs, order.shape, p=share)
+        frequencies = random.dirichlet(np.ones(rungs), count)  # [episodes, rungs]
+        for order, probabilities in zip(orders, frequencies, strict=True):
+            drawn = random.choice(rungs, order.shape, p=probabilities)
             changes = random.random(steps) > self.settings.stays
             # Each step takes the rungs that were drawn at the last change.
-            last_change = np.maximum.accumulate(np.where(changes, np.arange(steps), 0))
+            step_of_change = np.where(changes, np.arange(steps), 0)
+            last_change = np.maximum.accumulate(step_of_change)
             order[:] = drawn[last_change]
         return orders
 
@@ -176,18 +182,23 @@ class RolloutSimulator:
             prices: lambdas of the episodes, or one for all.
         """
         loop = replace(self.batch.loop, rule=self.rule)
-        horizon = self.settings.horizon
         count, steps, humans = schedules.shape
+
+        # What all segments have in common.
         lambdas = np.full(count, prices, np.float32)
         robot_weights = np.asarray(loop.game.robot.weights, np.float32)
         robot = np.tile(robot_weights, (count, 1))
         drivers = np.full((count, humans), HUMAN_PLANS)
 
-        # Repeat the last step until the segments are whole.
-        places = np.minimum(np.arange(steps + -steps % horizon), steps - 1)
-        repeated = schedules[:, places].astype(np.int32)
-        segments = np.split(repeated, len(places) // horizon, axis=1)
+        # Cut the schedules into segments; repeat the last step until the last one is
+        # whole.
+        horizon = self.settings.horizon
+        steps_of_segments = steps + -steps % horizon
+        indices = np.minimum(np.arange(steps_of_segments), steps - 1)
+        repeated = schedules[:, indices].astype(np.int32)
+        segments = np.split(repeated, steps_of_segments // horizon, axis=1)
 
+        # Drive segment by segment, each from where the last one has ended.
         records = []
         for segment in segments:
             episodes = Episodes(starts, lambdas, segment, robot, weights, drivers)
@@ -208,33 +219,37 @@ class RolloutSimulator:
         states, weights = self._visited(random, count)
         game = self.batch.loop.game
         ranks = np.asarray(_rank(game, states))  # [states, humans], 0 is the nearest
-        most = min(PriceTogether.most_humans, self.batch.humans)
-        earned = self._earned(states, weights, ranks, most)
+        max_humans = min(PriceTogether.most_humans, self.batch.humans)
+        earned = self._earned(states, weights, ranks, max_humans)
 
         # What each further human adds to the reward: [states, rungs, humans].
         with_naive, with_rungs = np.split(earned, [1], axis=1)
-        with_rungs = with_rungs.reshape(len(states), -1, most)
-        with_none = np.broadcast_to(with_naive[:, None], (*with_rungs.shape[:2], 1))
-        each_more = np.diff(np.concatenate([with_none, with_rungs], axis=2), axis=2)
+        with_rungs = with_rungs.reshape(len(states), -1, max_humans)
+        rungs_above = with_rungs.shape[1]
+        shape = (len(states), rungs_above, 1)
+        with_none = np.broadcast_to(with_naive[:, None], shape)
+        by_humans = np.concatenate([with_none, with_rungs], axis=2)
+        added = np.diff(by_humans, axis=2)
 
         # An example for each state and human; -inf for models off the ladder.
+        examples = len(states) * max_humans
+        added_by_example = np.swapaxes(added, 1, 2).reshape(examples, -1)
         models = list(self.settings.costs)
-        above = [models.index(name) - 1 for name in self.batch.rungs[1:]]
-        gains = np.full((len(states) * most, len(models) - 1), -np.inf)
-        gains[:, np.array(above, int)] = np.swapaxes(each_more, 1, 2).reshape(
-            len(gains), -1
-        )
-        nearest = np.argsort(ranks, axis=1)[:, :most]
+        columns = [models.index(name) - 1 for name in self.batch.rungs[1:]]
+        gains = np.full((examples, len(models) - 1), -np.inf)
+        gains[:, np.array(columns, int)] = added_by_example
+
+        nearest = np.argsort(ranks, axis=1)[:, :max_humans]
         descriptions = np.asarray(_describe(game, states, nearest))
-        return Rollouts(descriptions.reshape(len(gains), -1), gains)
+        return Rollouts(descriptions.reshape(examples, -1), gains)
 
     def _earned(
         self,
         states: Starts,
         weights: DrawnWeights,
         ranks: Int[np.ndarray, "states humans"],
-        most: int,
-    ) -> Float[np.ndarray, "states ways"]:
+        max_humans: int,
+    ) -> Float[np.ndarray, "states rollouts"]:
         """Return what the robot earns in the rollouts of each state.
 
         The reward is summed over a rollout and divided by the steps in which the rung
@@ -245,27 +260,36 @@ class RolloutSimulator:
             states: where rollouts start.
             weights: weights of the humans' rewards.
             ranks: place of every human among the nearest ones.
-            most: largest number of humans that a rung predicts.
+            max_humans: largest number of humans that a rung predicts.
         """
         horizon = self.settings.horizon
-        held = min(self.settings.held, horizon)
-        rungs = range(1, len(self.batch.rungs))
-        ways = [(0, 0), *product(rungs, range(1, most + 1))]
-        shape = (len(states), len(ways), horizon, self.batch.humans)
-        schedules = np.full(shape, DECIDES if self.learned else 0, np.int32)
-        for place, (rung, number) in enumerate(ways):
-            schedules[:, place, :held] = np.where(ranks < number, rung, 0)[:, None]
+        humans = self.batch.humans
 
+        # The rollouts from each state: a rung, and how many humans it predicts.
+        rungs = range(1, len(self.batch.rungs))
+        counts = range(1, max_humans + 1)
+        rollouts = [(0, 0), *product(rungs, counts)]
+
+        # Who predicts each human: first the rung or naive, then the rule or naive.
+        rung_steps = min(self.settings.held, horizon)
+        later = DECIDES if self.learned else 0
+        shape = (len(states), len(rollouts), horizon, humans)
+        schedules = np.full(shape, later, np.int32)
+        for index, (rung, count) in enumerate(rollouts):
+            first = np.where(ranks < count, rung, 0)  # [states, humans]
+            schedules[:, index, :rung_steps] = first[:, None]
+
+        geometric_mean = float(np.sqrt(np.prod(self.settings.prices)))
         records = self.drive(
-            np.repeat(states, len(ways), axis=0),
-            np.repeat(weights, len(ways), axis=0),
-            schedules.reshape(-1, horizon, self.batch.humans),
-            prices=float(np.sqrt(np.prod(self.settings.prices))),
+            np.repeat(states, len(rollouts), axis=0),
+            np.repeat(weights, len(rollouts), axis=0),
+            schedules.reshape(-1, horizon, humans),
+            prices=geometric_mean,
         )
         rewards = np.nan_to_num(records.reward, nan=-self.worst_step)
         rewards = np.clip(rewards, -self.worst_step, None)
-        totals = rewards.sum(axis=1, dtype=float).reshape(len(states), -1)
-        return totals / held
+        totals = rewards.sum(axis=1, dtype=float)
+        return totals.reshape(len(states), -1) / rung_steps
 
     def _visited(self, random: Random, count: int) -> tuple[Starts, DrawnWeights]:
         """Draw states from episodes of random orders and the rule.
@@ -291,32 +315,39 @@ class RolloutSimulator:
                 later = np.full(episodes, steps)
             else:
                 later = random.integers(1, steps // 2, episodes)
-            takes_over = np.where(random.random(episodes) < 0.5, 0, later)
-            orders[np.arange(steps) >= takes_over[:, None]] = DECIDES
-        least, most = np.log(self.settings.prices)
-        prices = np.exp(random.uniform(least, most, episodes))
+            from_the_start = random.random(episodes) < 0.5
+            first_step = np.where(from_the_start, 0, later)
+            rule_decides = np.arange(steps) >= first_step[:, None]
+            orders[rule_decides] = DECIDES
+        lowest, highest = np.log(self.settings.prices)
+        prices = np.exp(random.uniform(lowest, highest, episodes))
 
         # The states before each step, without episodes that fail.
-        after = self.drive(starts, weights, orders, prices).states
-        states = np.concatenate([starts[:, None], after[:, :-1]], axis=1)
+        records = self.drive(starts, weights, orders, prices)
+        before_others = records.states[:, :-1]
+        states = np.concatenate([starts[:, None], before_others], axis=1)
         finite = np.isfinite(states).all(axis=(1, 2, 3))
         states = states[finite]
         weights = weights[finite]
 
         # How likely each state is drawn: [episodes, steps].
-        robot = states[:, :, 0]
-        offset = np.abs(robot[..., 1] - float(game.scene.target_lane))
-        away = offset > float(game.scene.lane_width) / 2
-        likely = away * robot[..., 3] / float(game.robot.speed_limit)
+        y = states[:, :, 0, 1]
+        speed = states[:, :, 0, 3]
+        offset = np.abs(y - float(game.scene.target_lane))
+        outside_lane = offset > float(game.scene.lane_width) / 2
+        likely = outside_lane * speed / float(game.robot.speed_limit)
         likely = np.clip(likely, self.settings.min_likely, 1.0)
         likely /= likely.sum(axis=1, keepdims=True)
 
         drawn = []
-        for own, probabilities in zip(states, likely, strict=True):
-            places = random.choice(
-                steps, states_of_each, replace=False, p=probabilities
+        for episode, probabilities in zip(states, likely, strict=True):
+            chosen = random.choice(
+                steps,
+                states_of_each,
+                replace=False,
+                p=probabilities,
             )
-            drawn.append(own[places])
+            drawn.append(episode[chosen])
         weights_of_each = np.repeat(weights, states_of_each, axis=0)
         return np.concatenate(drawn)[:count], weights_of_each[:count]
 

@@ -94,28 +94,21 @@ def validate_file(file: Path) -> dict:
     scenario, episodes = read_reference(file)
     game = build_game(scenario, "released", unit=1.0)
     states = episodes["states"].astype(np.float32)  # [episodes, steps, cars, 4]
-    models = episodes["models"]
 
-    # The robot's plans with the logged models.
-    robot = episodes["robot_controls"]
-    planned = np.empty(robot.shape)
-    for index in np.unique(models):
-        model = MODELS[PAPER_MODELS[index]]
-        chosen = models == index
-        planned[chosen] = _first_controls(model, game, states[chosen])
+    # Controls of the robot and of the human, planned less logged: [..., 2].
+    robot_plans = _robot_plans(game, states, episodes["models"])
+    robot_differences = robot_plans - episodes["robot_controls"]
+    human_plans = _human_plans(game, states[:, :-1])
+    human_differences = human_plans - episodes["human_controls"]
 
-    # The human's plans: as a robot that predicts the other car naively.
-    human = episodes["human_controls"]
-    before = states[:, :-1]
-    swapped = np.concatenate([before[:, :, 1::-1], before[:, :, 2:]], axis=2)
-    swapped = swapped.reshape(-1, *states.shape[2:])
-    human_plans = _first_controls(Naive(), swap_roles(game), swapped)
-
+    # Rewards are logged after each step; the last state after a step is not logged.
     rewards = np.asarray(_rewards(game.scene, game.robot, states[:, 1:]))
+    reward_differences = rewards - episodes["rewards"][:, :-1]
+
     errors = {
-        "action_error": np.abs(planned - robot).max(axis=-1),
-        "reward_error": np.abs(rewards - episodes["rewards"][:, :-1]),
-        "human_error": np.abs(human_plans.reshape(human.shape) - human).max(axis=-1),
+        "action_error": np.abs(robot_differences).max(axis=-1),
+        "reward_error": np.abs(reward_differences),
+        "human_error": np.abs(human_differences).max(axis=-1),
     }
     report: dict = {name: _quantiles(error) for name, error in errors.items()}
     kind = file.stem.partition("__")[2]
@@ -125,10 +118,43 @@ def validate_file(file: Path) -> dict:
     return report
 
 
+def _robot_plans(
+    game: Game,
+    states: Float[np.ndarray, "episodes steps cars 4"],
+    models: Int[np.ndarray, "episodes steps"],
+) -> Float[np.ndarray, "episodes steps 2"]:
+    """Return the first controls of the robot's plans with the logged models."""
+    planned = np.empty((*models.shape, 2))
+    for index in np.unique(models):
+        model = MODELS[PAPER_MODELS[index]]
+        chosen = models == index
+        planned[chosen] = _first_controls(model, game, states[chosen])
+    return planned
+
+
+def _human_plans(
+    game: Game,
+    states: Float[np.ndarray, "episodes steps cars 4"],
+) -> Float[np.ndarray, "episodes steps 2"]:
+    """Return the first controls of the human's plans.
+
+    The human plans as a robot that predicts the other car naively.
+    """
+    human_first = states[:, :, 1::-1]
+    others = states[:, :, 2:]
+    swapped = np.concatenate([human_first, others], axis=2)
+    in_a_row = swapped.reshape(-1, *states.shape[2:])
+    planned = _first_controls(Naive(), swap_roles(game), in_a_row)
+    return planned.reshape(*states.shape[:2], 2)
+
+
 def _quantiles(errors: Float[np.ndarray, "*steps"]) -> dict[str, float]:
     """Return quantiles of errors by name."""
-    shares = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
-    return {name: float(np.quantile(errors, share)) for name, share in shares.items()}
+    probabilities = {"q50": 0.5, "q90": 0.9, "q99": 0.99, "max": 1.0}
+    return {
+        name: float(np.quantile(errors, probability))
+        for name, probability in probabilities.items()
+    }
 
 
 def read_reference(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
@@ -144,19 +170,27 @@ def read_reference(file: Path) -> tuple[Scenario, dict[str, np.ndarray]]:
         arrays = read_arrays(file, REFERENCE.max_bytes)
         names = (*REFERENCE.per_step, *REFERENCE.others)
         episodes = {name: arrays[name] for name in names}
-        for name, array in episodes.items():
-            if not (np.abs(array) < REFERENCE.bound).all():
-                raise ValueError(f"{name} holds numbers that are not finite")
-        lengths = {episodes[name].shape[:2] for name in REFERENCE.per_step}
-        if len(lengths) > 1:
-            raise ValueError("its arrays have different numbers of episodes or steps")
-        ladder = episodes["ladder"]
-        on_ladder = np.isin(episodes["models"], ladder).all()
-        if not on_ladder or max(ladder) >= len(PAPER_MODELS):
-            raise ValueError(
-                f"its models are not indices into {', '.join(PAPER_MODELS)}"
-            )
-        return scenarios[file.stem.partition("__")[0]], episodes
+        _check_episodes(episodes)
+        scenario, _, _ = file.stem.partition("__")
+        return scenarios[scenario], episodes
+
+
+def _check_episodes(episodes: dict[str, np.ndarray]) -> None:
+    """Check the arrays of a reference file.
+
+    Raises:
+        ValueError: naming what is wrong.
+    """
+    for name, array in episodes.items():
+        if not (np.abs(array) < REFERENCE.bound).all():
+            raise ValueError(f"{name} holds numbers that are not finite")
+    lengths = {episodes[name].shape[:2] for name in REFERENCE.per_step}
+    if len(lengths) > 1:
+        raise ValueError("its arrays have different numbers of episodes or steps")
+    ladder = episodes["ladder"]
+    on_ladder = np.isin(episodes["models"], ladder).all()
+    if not on_ladder or max(ladder) >= len(PAPER_MODELS):
+        raise ValueError(f"its models are not indices into {', '.join(PAPER_MODELS)}")
 
 
 _rewards = jit_quickly(reward)
@@ -169,7 +203,11 @@ def _first_controls(
 ) -> Float[np.ndarray, "states 2"]:
     """Return the first control of the robot's plan from each state."""
     plans = CompiledPlans(game, (model,))
-    return np.array([plans.plan(state, [0])[0].plan.robot[0] for state in states])
+    controls = []
+    for state in states:
+        result, _ = plans.plan(state, [0])
+        controls.append(result.plan.robot[0])
+    return np.array(controls)
 
 
 def _decisions(
@@ -182,9 +220,12 @@ def _decisions(
     Each choice is made after the logged step before it.
     """
     names = [PAPER_MODELS[index] for index in episodes["ladder"]]
-    costs = Costs.of({name: PUBLISHED_COSTS[name] for name in names}, 1)
+    seconds = {name: PUBLISHED_COSTS[name] for name in names}
     switching = Switching(
-        costs, price, ladder(names), trust_tolerance=Quadratic.released_tolerance
+        Costs.of(seconds, humans=1),
+        price,
+        ladder(names),
+        trust_tolerance=Quadratic.released_tolerance,
     )
 
     # The rung of each logged model, and what happened in each step.
@@ -195,11 +236,13 @@ def _decisions(
         columns.append(episodes[name].astype(np.float32))
 
     # No choice follows the last step.
-    steps = logged.shape[1] - 1
-    before = [column[:, :steps] for column in columns]
-    runs = zip(*before, strict=True)
-    chosen = np.array([_choices(switching, game, *run) for run in runs])
-    return {"agree": int(np.sum(chosen == logged[:, 1:])), "all": chosen.size}
+    choices = logged.shape[1] - 1
+    before_choices = [column[:, :choices] for column in columns]
+    chosen = []
+    for run in zip(*before_choices, strict=True):
+        chosen.append(_choices(switching, game, *run))
+    agree = np.array(chosen) == logged[:, 1:]
+    return {"agree": int(np.sum(agree)), "all": agree.size}
 
 
 @jit_quickly
@@ -219,10 +262,10 @@ def _choices(
         # Switching does not use the plan.
         plan = Plan(robot[None], human[None, None])
         outcome = Outcome(state, state, robot, human[None], earned, plan)
-        memory = decide(
-            switching, game, memory._replace(rungs=rung[None]), outcome
-        ).memory
+        logged = memory._replace(rungs=rung[None])
+        memory = decide(switching, game, logged, outcome).memory
         return memory._replace(step=memory.step + 1), memory.rungs[0]
 
     first = first_memory(switching, 1)._replace(step=jnp.int32(1))
-    return jax.lax.scan(choose, first, (rungs, *happened))[1]
+    _, chosen = jax.lax.scan(choose, first, (rungs, *happened))
+    return chosen

@@ -229,7 +229,7 @@ def _explained(message: str, content: object, kind: type) -> str:
     """Return a message of msgspec with the place of the wrong value, and the value.
 
     Args:
-        message: such as "Expected `float`, got `str` - at `$.peers[...].speed`".
+        message: the problem and, behind "at", a path such as ``$.peers[...].spread``.
         content: what was to be read.
         kind: of structure.
     """

@@ -17,8 +17,8 @@ from ms_highway.experiments.comparison import Comparison
 from ms_highway.game.features import features
 from ms_highway.game.game import total_reward
 from ms_highway.game.reward import (
-    USER_FEATURES,
     PAPER_FEATURES,
+    USER_FEATURES,
     add_feature,
     linear_reward,
     weight_names,
