@@ -37,7 +37,7 @@ from ms_highway.game.game import (
     with_scripted,
 )
 from ms_highway.game.reward import Reward
-from ms_highway.numerics.second_derivatives import response
+from ms_highway.numerics.second_derivatives import minus_inverse_times
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel, scaled_prediction
 from ms_highway.planning.plans import Plan
@@ -404,7 +404,7 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     return RewardExpansion(
         gradient=gradients[0],
         hessian=hessian,
-        influence=response(game.influence, human_bend, mirrored[:n, n:]),
+        influence=minus_inverse_times(game.influence, human_bend, mirrored[:n, n:]),
     )
 
 

@@ -1,11 +1,13 @@
 """Climb by Newton steps whose result is a continuous function of the start.
 
-They are for plans of seconds. The curvature of the reward is made convex
-(`ms_highway.game.payoff`) and the trajectory is taken as linear (Gauss-Newton), so that
-every factorisation succeeds and no damping is searched for. The share of a step that is
-taken is at the top of the parabola with the slopes at both ends of the step: float32
-resolves slopes where it loses the gain in rounding. Nothing is chosen among candidates,
-so that plans from similar starts are similar.
+They are for plans whose horizon is several seconds long. The curvature of the reward is
+made convex (`ms_highway.game.payoff`) and the trajectory is taken as linear
+(Gauss-Newton), so that every factorisation succeeds and a fixed damping suffices.
+
+The share of a step that is taken is at the top of the parabola with the slopes at both
+ends of the step: float32 resolves slopes where it loses the gain in rounding. No step
+chooses among candidates, so that similar starts lead to similar plans. The start itself
+may be chosen, by a margin: see `ms_highway.planning.plans.best_start`.
 """
 
 from collections.abc import Callable
@@ -29,52 +31,61 @@ from ms_highway.runtime.arrays import (
     Vector,
 )
 
-Point = TypeVar("Point", bound=PyTree)
+Iterate = TypeVar("Iterate", bound=PyTree)
 
 
 @dataclass(frozen=True)
 class NewtonSteps:
     """Set the number, the length and the end of Newton steps.
 
-    Three values were measured in Dense Merge under theory of mind, by how far starts
-    that are 10 um apart are from each other two seconds later, for 95 % of 100 starts.
+    `steps`, `joint_steps` and `damping` were chosen by how sensitive runs are in Dense
+    Merge: the 95th percentile, over 100 starts, of the distance after two seconds
+    between two runs that start 10 um apart.
     """
 
     steps: int = 8
-    """Number of steps at most, where nobody responds to them. With naive plans of eight
-    steps, starts are within 0.27 mm.
+    """Largest number of steps of plans to which nobody responds. The distance is 0.27
+    mm with naive plans of eight steps.
     """
     joint_steps: int = 4
-    """Number of steps at most, where others respond to each of them. Such steps climb
-    no single reward, and more of them are less steady: starts are within 0.73 mm with
-    four of them, 2.0 mm with six and 13 mm with eight.
+    """Largest number of steps of plans to which others respond. Such steps climb no
+    single reward, and more of them are less steady: under theory of mind, the distance
+    is 0.73 mm with four of them, 2.0 mm with six and 13 mm with eight.
     """
     ease: float = 5.0
-    """Usual ease of `ms_highway.numerics.solvers.Newton` [reward per squared scaled
-    control]: braking by 4 m/s^2 costs 0.04 per step. In 60 starts of Dense Merge under
-    theory of mind, with an earlier damping of 10: 6.06 per step and 3 collisions at 2,
-    6.63 and none at 5, 6.33 and 1 at 10.
+    """Weight on the control effort of the robot, the ``ease`` of
+    `ms_highway.numerics.solvers.Newton`, in scenarios with these steps [reward per
+    squared scaled control]: braking by 4 m/s^2 costs 0.04 per step.
+
+    Measured in 60 starts of Dense Merge under theory of mind, with a damping of 10:
+
+    * 2: reward of 6.06 per step, 3 collisions;
+    * 5: reward of 6.63 per step, no collision;
+    * 10: reward of 6.33 per step, 1 collision.
     """
     damping: float = 2.0
-    """Reward per squared scaled control: a step is short where nothing else bends the
-    reward. With four joint steps and an earlier cost of room to stop, starts are within
-    1.1 mm at 1.5, and within 1.5 mm at 1.
+    """Levenberg's damping, which bounds a step where the reward is flat [reward per
+    squared scaled control]. Less makes runs more sensitive: with four joint steps and
+    an earlier form of the stopping cost, the distance was 1.1 mm at 1.5, and 1.5 mm at
+    1.
     """
     max_step: float = 1.0
     """Largest norm of a step [scaled controls]: full braking for two seconds."""
     tolerance: float = 1e-3
     """Norm of a step that is not worth taking [scaled controls]."""
     min_share: float = 0.05
-    """Share of a step that is taken at least."""
-    last_part: float = 0.1
-    """Part of a short step up to which it is the last one, see `until_still`."""
+    """Smallest share of a step that is taken."""
+    fade_end: float = 0.1
+    """A short step of which no more than this fraction is taken ends the iteration, see
+    `until_still`.
+    """
 
 
 NEWTON_STEPS = NewtonSteps()
 
 
-class Local(NamedTuple):
-    """An objective around n ravelled controls.
+class LocalModel(NamedTuple):
+    """A concave quadratic model of an objective around n ravelled controls.
 
     Attributes:
         gradient: in the controls.
@@ -95,7 +106,8 @@ class Local(NamedTuple):
         whole = self.solve(gradient)
         longest = NEWTON_STEPS.max_step
         norm = jnp.sqrt(jnp.sum(whole**2))
-        return whole * jnp.minimum(1.0, longest / jnp.maximum(norm, longest))
+        scale = jnp.minimum(1.0, longest / jnp.maximum(norm, longest))
+        return whole * scale
 
 
 def expand(
@@ -103,8 +115,8 @@ def expand(
     controls: Controls,
     path: Trajectory | None = None,
     slope: Trajectory | None = None,
-) -> Local:
-    """Expand an objective around controls.
+) -> LocalModel:
+    """Model an objective around controls.
 
     With ``J_k = ds_k / du`` of the motion at step k, the reward's convex curvature Q_k
     there and the costs' second derivative D, ``C = sum_k J_k^T Q_k J_k + D + damping
@@ -122,110 +134,122 @@ def expand(
         path = objective.path(controls)
     if slope is None:
         slope = objective.slope(path)
-    bends = -objective.curvature(path)
+
+    # The gradient, and minus C without its damping: J is given, so that the trajectory
+    # is taken as linear.
+    negative_curvature = -objective.curvature(path)
     gradient, hessian, jacobian = second_order_expansion(
         objective.path,
         controls,
         slope,
-        bends,
+        negative_curvature,
         objective.cost,
         objective.jacobian(controls),
     )
-    curvature = NEWTON_STEPS.damping * jnp.eye(controls.size) - hessian
+
+    # Damp and factor C.
+    identity = jnp.eye(controls.size)
+    curvature = NEWTON_STEPS.damping * identity - hessian
     factor = jnp.linalg.cholesky(curvature, symmetrize_input=False)
-    return Local(gradient, factor, jacobian)
+    return LocalModel(gradient, factor, jacobian)
 
 
-def share(slope: Scalar, after: Scalar) -> jax.Array:
+def best_share(slope_at_start: Scalar, slope_at_end: Scalar) -> jax.Array:
     """Return the share of a step at the top of a parabola with its slopes at both ends.
 
     With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least
-    `NewtonSteps.min_share` and at most 1; it is 1 where the reward still rises at the
-    end. NaN where g is not finite, so that the plan fails and says so.
+    `NewtonSteps.min_share` and at most 1. It is 1 where the reward still rises at the
+    end, the least share where g is negative or g' is not finite, and NaN where g is not
+    finite, so that the plan fails and says so.
 
     Args:
-        slope: derivative of the reward along the whole step, at its start.
-        after: the same at its end.
+        slope_at_start: derivative of the reward along the whole step, at its start.
+        slope_at_end: the same at its end.
     """
     least = NEWTON_STEPS.min_share
-    climbs = jnp.maximum(slope, 0.0)
-    falls = jnp.minimum(after, -1e-9)  # no division by 0
-    top = jnp.where(after < 0, climbs / (climbs - falls), 1.0)
-    top = jnp.where(jnp.isfinite(after), jnp.maximum(top, least), least)
-    return jnp.where(jnp.isfinite(slope), top, jnp.nan)
+    rise = jnp.maximum(slope_at_start, 0.0)
+    fall = jnp.minimum(slope_at_end, -1e-9)  # no division by 0
+    top = jnp.where(slope_at_end < 0, rise / (rise - fall), 1.0)
+    limited = jnp.maximum(top, least)
+    share = jnp.where(jnp.isfinite(slope_at_end), limited, least)
+    return jnp.where(jnp.isfinite(slope_at_start), share, jnp.nan)
 
 
-def improve(objective: Objective, controls: Controls, local: Local) -> Controls:
+def improve(objective: Objective, controls: Controls, model: LocalModel) -> Controls:
     """Return controls after a step, projected on the limits.
 
-    At least `NewtonSteps.min_share` of a step is taken; where that leads beyond a wall
-    of the reward, controls may earn less for a step.
+    At least `NewtonSteps.min_share` of a step is taken. So the objective may decrease
+    in one step, for example where even this share leads into a collision.
 
     Args:
         objective: to climb.
         controls: within the limits.
-        local: the objective around them.
+        model: of the objective around them.
     """
-    whole = local.step(local.gradient).reshape(controls.shape)
+    whole = model.step(model.gradient).reshape(controls.shape)
 
     # The slopes at both ends of the step that the limits leave.
     full_step = objective.bounded(controls + whole)
     step = full_step - controls
-    after = objective.gain(full_step, step)
-    part = share(local.gradient @ step.ravel(), after)
-    return objective.bounded(controls + part * whole)
+    slope_at_end = objective.slope_along(full_step, step)
+    slope_at_start = model.gradient @ step.ravel()
+    share = best_share(slope_at_start, slope_at_end)
+
+    # A share of the step before limits: controls at a limit stay there.
+    return objective.bounded(controls + share * whole)
 
 
 def until_still(
-    step: Callable[[Index, Point], Point],
-    start: Point,
+    step: Callable[[Index, Iterate], Iterate],
+    start: Iterate,
     most: Index,
-    controls: Callable[[Point], PyTree],
-) -> tuple[Point, Index, Flag]:
+    controls: Callable[[Iterate], PyTree],
+) -> tuple[Iterate, Index, Flag]:
     """Repeat a step until it hardly moves anything.
 
-    A step whose norm is between the tolerance and twice that is taken in part, a
-    shorter one not at all. So a similar start that takes one step more or less ends in
-    nearly the same point.
+    A step whose norm is between the tolerance and twice that is faded: a fraction of it
+    is taken. Of a shorter one, nothing is taken. So a similar start that takes one step
+    more or less ends in nearly the same iterate. All arrays of the iterate are faded
+    alike, also trajectories: they fit its controls to first order.
 
     Args:
-        step: takes the number of the step and a point, and returns the next point.
-        start: first point.
-        most: number of steps at most.
-        controls: of a point; their change is the norm of a step.
+        step: takes the index of the step and an iterate, and returns the next one.
+        start: first iterate.
+        most: largest number of steps.
+        controls: of an iterate; their change is the norm of a step.
 
     Returns:
-        The last point, the number of steps, and whether the last one hardly moved the
-        controls.
+        The last iterate, the number of steps that were computed, and whether the last
+        one hardly moved the controls.
     """
 
-    def go(
-        now: tuple[Point, jax.Array, jax.Array],
-    ) -> tuple[Point, jax.Array, jax.Array]:
-        before, _, number = now
-        after = step(number, before)
+    def iterate(
+        now: tuple[Iterate, jax.Array, jax.Array],
+    ) -> tuple[Iterate, jax.Array, jax.Array]:
+        before, _, index = now
+        after = step(index, before)
 
-        # The part to take, by the norm of the step.
+        # The fraction to take, by the norm of the step.
         change = jax.tree.map(jnp.subtract, after, before)
         moved = jax.tree.leaves(controls(change))
-        norm = jnp.sqrt(sum(jnp.sum(part**2) for part in moved))
-        part = jnp.clip(norm / NEWTON_STEPS.tolerance - 1, 0.0, 1.0)
+        norm = jnp.sqrt(sum(jnp.sum(array**2) for array in moved))
+        fade = jnp.clip(norm / NEWTON_STEPS.tolerance - 1, 0.0, 1.0)
 
-        # A whole step ends exactly after it.
-        def partial_step(
+        # Of a whole step, take the end itself, as old + 1 * difference would round.
+        def faded(
             old: jax.Array,
             new: jax.Array,
             difference: jax.Array,
         ) -> jax.Array:
-            return jnp.where(part < 1, old + part * difference, new)
+            return jnp.where(fade < 1, old + fade * difference, new)
 
-        point = jax.tree.map(partial_step, before, after, change)
-        return point, part, number + 1
+        taken = jax.tree.map(faded, before, after, change)
+        return taken, fade, index + 1
 
-    def goes_on(now: tuple[Point, jax.Array, jax.Array]) -> jax.Array:
-        _, part, number = now
-        return (part > NEWTON_STEPS.last_part) & (number < most)
+    def goes_on(now: tuple[Iterate, jax.Array, jax.Array]) -> jax.Array:
+        _, fade, count = now
+        return (fade > NEWTON_STEPS.fade_end) & (count < most)
 
     first = (start, jnp.ones(()), jnp.zeros((), int))
-    point, part, number = jax.lax.while_loop(goes_on, go, first)
-    return point, number, part <= NEWTON_STEPS.last_part
+    last, fade, count = jax.lax.while_loop(goes_on, iterate, first)
+    return last, count, fade <= NEWTON_STEPS.fade_end

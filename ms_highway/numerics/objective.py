@@ -1,7 +1,7 @@
 """Define the `Objective` of the controls of a plan."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 from jax import numpy as jnp
@@ -21,6 +21,9 @@ from ms_highway.runtime.arrays import (
     Trajectory,
 )
 
+StepHessians: TypeAlias = Float[jax.Array, "fields fields steps"]
+PathJacobian: TypeAlias = Float[jax.Array, "fields steps controls"]
+
 
 class Objective(NamedTuple):
     """Maximise ``reward(path(controls)) - cost(controls)`` within limits.
@@ -31,10 +34,10 @@ class Objective(NamedTuple):
         path: trajectory under controls.
         reward: of a trajectory, a sum over its steps.
         cost: of the controls themselves, a sum over them.
-        bounded: projects controls on their limits.
+        bounded: limits controls.
         slope: derivative of the reward in a trajectory.
-        curvature: a convex form of minus the reward's second derivatives at each step
-            of a trajectory, for `ms_highway.numerics.convex_newton`.
+        curvature: a positive semidefinite stand-in for minus the reward's Hessian at
+            each step of a trajectory, for `ms_highway.numerics.convex_newton`.
         jacobian: derivative of the path in the ravelled controls, for the same.
     """
 
@@ -43,12 +46,8 @@ class Objective(NamedTuple):
     cost: Callable[[Controls], Scalar]
     bounded: Callable[[ManyControls], ManyControls]
     slope: Callable[[Trajectory], Trajectory]
-    curvature: (
-        Callable[[Trajectory], Float[jax.Array, "fields fields steps"]] | None
-    ) = None
-    jacobian: Callable[[Controls], Float[jax.Array, "fields steps controls"]] | None = (
-        None
-    )
+    curvature: Callable[[Trajectory], StepHessians] | None = None
+    jacobian: Callable[[Controls], PathJacobian] | None = None
 
     def earned(self, controls: Controls, path: Trajectory | None = None) -> Scalar:
         """Return what controls earn on their path, computed unless it is given."""
@@ -56,17 +55,19 @@ class Objective(NamedTuple):
             path = self.path(controls)
         return self.reward(path) - self.cost(controls)
 
-    def gain(self, controls: Controls, step: Controls) -> Scalar:
-        """Return the derivative of `earned` along a step that ends here."""
+    def slope_along(self, controls: Controls, step: Controls) -> Scalar:
+        """Return the derivative of `earned` along a step that ends at controls."""
         path, path_change = jax.jvp(self.path, (controls,), (step,))
         along_path = jnp.sum(self.slope(path) * path_change)
-        along_costs = jnp.sum(jax.grad(self.cost)(controls) * step)
+        cost_slope = jax.grad(self.cost)(controls)
+        along_costs = jnp.sum(cost_slope * step)
         return along_path - along_costs
 
     def expand(self, controls: Controls) -> Expansion:
         """Return the expansion of `earned` to second order."""
-        slope, bends = along_fields(self.slope, self.path(controls))
-        return second_order_expansion(self.path, controls, slope, bends, self.cost)
+        path = self.path(controls)
+        slope, hessians = along_fields(self.slope, path)
+        return second_order_expansion(self.path, controls, slope, hessians, self.cost)
 
     def search_line(
         self,
@@ -75,8 +76,10 @@ class Objective(NamedTuple):
         shares: Float[Array, "shares"],
     ) -> tuple[ManyControls, Float[Array, "shares"]]:
         """Return controls after shares of a step, limited, and what they earn."""
-        candidates = self.bounded(controls + shares[:, None, None] * step)
-        return candidates, jnp.asarray(jax.vmap(self.earned)(candidates))
+        taken = shares[:, None, None] * step  # [shares, steps, 2]
+        candidates = self.bounded(controls + taken)
+        earned = jax.vmap(self.earned)(candidates)
+        return candidates, jnp.asarray(earned)
 
 
 def best_of(candidates: Numbers, earned: Float[Array, "candidates"]) -> jax.Array:
@@ -85,5 +88,6 @@ def best_of(candidates: Numbers, earned: Float[Array, "candidates"]) -> jax.Arra
     Return NaN where there is none.
     """
     known = jnp.isfinite(earned)
-    best = candidates[jnp.argmax(jnp.where(known, earned, -jnp.inf))]
+    comparable = jnp.where(known, earned, -jnp.inf)
+    best = candidates[jnp.argmax(comparable)]
     return jnp.where(known.any(), best, jnp.nan)

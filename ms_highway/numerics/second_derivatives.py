@@ -1,6 +1,6 @@
-"""Differentiate a trajectory's reward twice in the controls.
+"""Differentiate a trajectory's reward twice in the controls, and solve with Hessians.
 
-Steps and responses follow from the Hessian.
+Steps of an ascent and responses of humans follow from the Hessian.
 """
 
 from collections.abc import Callable
@@ -42,14 +42,18 @@ def trajectory_jacobian(
     controls: Controls,
 ) -> Float[jax.Array, "fields steps n"]:
     """Return the derivative of a trajectory in its n ravelled controls."""
-    return jax.jacfwd(lambda point: path(point.reshape(-1, 2)))(controls.ravel())
+
+    def path_of_ravelled(ravelled: Vector) -> Trajectory:
+        return path(ravelled.reshape(-1, 2))
+
+    return jax.jacfwd(path_of_ravelled)(controls.ravel())
 
 
 def second_order_expansion(
     path: Callable[[Controls], Trajectory],
     controls: Controls,
     slope: Trajectory,
-    bends: Float[jax.Array, "fields fields steps"],
+    hessians: Float[jax.Array, "fields fields steps"],
     cost: Callable[[Controls], Scalar],
     jacobian: Float[jax.Array, "fields steps n"] | None = None,
 ) -> Expansion:
@@ -68,18 +72,18 @@ def second_order_expansion(
         path: trajectory under the controls.
         controls: where to expand.
         slope: g of all steps.
-        bends: Q of all steps.
+        hessians: Q of all steps.
         cost: of the controls themselves, a sum over them.
         jacobian: J; if it is given, the trajectory is taken as linear (Gauss-Newton),
             ``d2s_k / du2 = 0``.
     """
 
-    def ravelled(controls: Vector) -> Trajectory:
-        return path(controls.reshape(-1, 2))
+    def path_of_ravelled(ravelled: Vector) -> Trajectory:
+        return path(ravelled.reshape(-1, 2))
 
-    def pulled_back(controls: Vector) -> Vector:
+    def pulled_back(ravelled: Vector) -> Vector:
         """Return ``sum_k J_k^T g_k`` at other controls, with the same g."""
-        _, pull_back = jax.vjp(ravelled, controls)
+        _, pull_back = jax.vjp(path_of_ravelled, ravelled)
         (gradient,) = pull_back(slope)
         return gradient
 
@@ -88,37 +92,45 @@ def second_order_expansion(
     if jacobian is None:
         jacobian = trajectory_jacobian(path, controls)
 
-    # The gradient, and the Hessian of the reward along a linear trajectory.
-    flat = jacobian.reshape(-1, point.size)  # [fields * steps, n]
-    bent = jnp.sum(bends[..., None] * jacobian, axis=1)  # one kernel, unlike an einsum
-    gradient = slope.ravel() @ flat
-    hessian = flat.T @ bent.reshape(-1, point.size)
+    # sum_k J_k^T g_k
+    rows = jacobian.reshape(-1, point.size)  # [fields * steps, n]
+    products = hessians[..., None] * jacobian  # [fields, fields, steps, n]
+    changes = jnp.sum(products, axis=1)  # Q_k J_k, one kernel, unlike an einsum
+    gradient = slope.ravel() @ rows
 
-    # The curvature of the trajectory itself.
+    # sum_k J_k^T Q_k J_k, the Hessian along a linear trajectory
+    hessian = rows.T @ changes.reshape(-1, point.size)
+
+    # sum_k g_k d2s_k / du2, from the curvature of the trajectory itself
     if not is_linear:
         hessian += jax.jacfwd(pulled_back)(point)
 
-    # The cost: of a sum over controls, the derivative along all of them at once is the
-    # diagonal of the Hessian.
+    # The cost is a sum over controls, so that the change of its gradient along all of
+    # them at once is the diagonal of its Hessian.
     everywhere = jnp.ones_like(controls)
-    marginal, diagonal = jax.jvp(jax.grad(cost), (controls,), (everywhere,))
-    return Expansion(
-        gradient - marginal.ravel(), hessian - jnp.diag(diagonal.ravel()), jacobian
-    )
+    cost_gradient, diagonal = jax.jvp(jax.grad(cost), (controls,), (everywhere,))
+    gradient = gradient - cost_gradient.ravel()
+    hessian = hessian - jnp.diag(diagonal.ravel())
+    return Expansion(gradient, hessian, jacobian)
 
 
 def along_fields(
     function: Callable[[jax.Array], Result],
     steps: jax.Array,
 ) -> tuple[Result, Result]:
-    """Return a function of trajectories and its derivatives in each field.
+    """Return the value of a function at a trajectory, and its derivative in each field.
 
-    They have a first axis of fields. The value at each step may depend only on the
-    fields at this step, so that one direction per field serves all steps.
+    Derivatives have a first axis of fields. The value at each step may depend only on
+    the fields at this step, so that one direction per field serves all steps.
+
+    Args:
+        function: of a trajectory.
+        steps: the trajectory, an array [fields, ...].
     """
     fields = len(steps)
-    unit = jnp.eye(fields).reshape(fields, fields, *[1] * (steps.ndim - 1))
-    directions = jnp.broadcast_to(unit, (fields, *steps.shape))
+    ones = [1] * (steps.ndim - 1)
+    unit_vectors = jnp.eye(fields).reshape(fields, fields, *ones)
+    directions = jnp.broadcast_to(unit_vectors, (fields, *steps.shape))
 
     def along(direction: jax.Array) -> tuple[Result, Result]:
         return jax.jvp(function, (steps,), (direction,))
@@ -126,20 +138,19 @@ def along_fields(
     return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
-def response(
+def minus_inverse_times(
     influence: Influence,
     hessian: Matrix,
     vector: Float[jax.Array, "n *columns"],
 ) -> Float[jax.Array, "n *columns"]:
-    """Compute ``-H^-1 vector``, how an optimum moves if the gradient changes.
+    """Compute ``-H^-1 vector`` with the Hessian H of a reward.
 
-    H is the Hessian of a reward at its optimum, and ``vector`` the change of its
-    gradient.
+    At an optimum, it is how the optimum moves if the gradient changes by the vector.
 
     * ``exact`` takes H as it is, like the paper and its released code. Before
-      convergence, H may be indefinite or singular; the response is then arbitrary or
-      not finite.
-    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, so that every response
+      convergence, H may be indefinite or singular; the result is then arbitrary or not
+      finite.
+    * ``damped`` replaces H's eigenvalues l by ``-max(|l|, 1)``, so that every result
       ascends and is bounded.
     """
     if influence == "damped":
@@ -153,7 +164,8 @@ def damped_inverse(hessian: Matrix, floor: float) -> Matrix:
     It is positive definite, so that steps ascend.
     """
     values, vectors = jnp.linalg.eigh(hessian)
-    return (vectors / jnp.maximum(jnp.abs(values), floor)) @ vectors.T
+    magnitudes = jnp.maximum(jnp.abs(values), floor)
+    return (vectors / magnitudes) @ vectors.T
 
 
 @jax.custom_jvp
@@ -168,7 +180,8 @@ def floored(
     (V^T dA V)) V^T``.
     """
     values, vectors = jnp.linalg.eigh(symmetric)
-    return (vectors * jnp.maximum(values, floor)) @ vectors.T
+    floored_values = jnp.maximum(values, floor)
+    return (vectors * floored_values) @ vectors.T
 
 
 @floored.defjvp
@@ -192,9 +205,14 @@ def _floored_jvp(
     both_high = is_high[:, None] & is_high[None, :]
     differences = jnp.where(one_of_two, either, both_high)
 
-    # V (F * (V^T dA V)) V^T, and the change of the floor itself.
+    # V (F * (V^T dA V)) V^T
     turned = vectors.T @ change @ vectors
     by_matrix = vectors @ (differences * turned) @ vectors.T
-    by_floor = floor_change * (vectors * ~is_high) @ vectors.T
-    value = (vectors * jnp.maximum(values, floor)) @ vectors.T
+
+    # The change of the floor itself moves the low eigenvalues.
+    low_vectors = vectors * ~is_high
+    by_floor = floor_change * low_vectors @ vectors.T
+
+    floored_values = jnp.maximum(values, floor)
+    value = (vectors * floored_values) @ vectors.T
     return value, by_matrix + by_floor

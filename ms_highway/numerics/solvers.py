@@ -1,7 +1,7 @@
 """Solvers of plans, and the number and size of gradient steps.
 
-A solver is an object with its own numbers. It repeats a step of
-`ms_highway.planning.joint` and says how many it took, and whether they converged.
+A solver says how many steps an ascent takes; the step itself is that of
+`ms_highway.planning.joint`. It holds its own settings.
 """
 
 from collections.abc import Callable
@@ -14,7 +14,7 @@ import numpy as np
 from jax import numpy as jnp
 from jaxtyping import PyTree
 
-from ms_highway.numerics.convex_newton import NEWTON_STEPS, Point, until_still
+from ms_highway.numerics.convex_newton import NEWTON_STEPS, Iterate, until_still
 from ms_highway.runtime.arrays import Control, Flag, Index, Scalar
 
 SolverName: TypeAlias = Literal["gradient", "convex_newton"]
@@ -48,16 +48,16 @@ class GradientSteps:
 GRADIENT_STEPS = GradientSteps()
 
 
-class Repeated(NamedTuple, Generic[Point]):
+class Repeated(NamedTuple, Generic[Iterate]):
     """Result of a repeated step.
 
     Attributes:
-        point: after the last step.
-        steps: number of steps that were taken.
+        point: the iterate after the last step.
+        steps: number of steps that were computed.
         converged: whether the last one hardly moved the controls.
     """
 
-    point: Point
+    point: Iterate
     steps: Index
     converged: Flag
 
@@ -70,7 +70,8 @@ class Ascent:
     Attributes:
         step_size: length of a step per unit of gradient.
         iterations: number of steps (static).
-        continues: whether plans start from the rest of the last plan (static).
+        continues: whether plans start from the rest of the last plan, a warm start
+            (static).
         smooth: whether plans climb a reward without jumps, see `ms_highway.game.payoff`
             (static).
     """
@@ -104,47 +105,57 @@ class Ascent:
 
     def repeat(
         self,
-        step: Callable[[Index, Point], Point],
-        start: Point,
+        step: Callable[[Index, Iterate], Iterate],
+        start: Iterate,
         most: Index,
-        controls: Callable[[Point], PyTree],
-    ) -> Repeated[Point]:
+        controls: Callable[[Iterate], PyTree],
+    ) -> Repeated[Iterate]:
         """Repeat a step a number of times.
 
         Args:
-            step: takes the number of the step and a point, and returns the next point.
-            start: first point.
+            step: takes the index of the step and an iterate, and returns the next one.
+            start: first iterate.
             most: number of steps.
-            controls: of a point; the norm of their change tells whether the last step
-                moved them.
+            controls: of an iterate; the norm of their change tells whether the last
+                step moved them.
         """
 
-        def go(number: Index, now: tuple[Point, Scalar]) -> tuple[Point, Scalar]:
+        def iterate(
+            index: Index,
+            now: tuple[Iterate, Scalar],
+        ) -> tuple[Iterate, Scalar]:
             before, _ = now
-            after = step(number, before)
+            after = step(index, before)
+
+            # The squared norm of the change of all controls.
             change = jax.tree.map(jnp.subtract, controls(after), controls(before))
-            squared = sum(jnp.sum(part**2) for part in jax.tree.leaves(change))
+            squared = sum(jnp.sum(array**2) for array in jax.tree.leaves(change))
             return after, squared
 
-        point, squared = jax.lax.fori_loop(0, most, go, (start, jnp.float32(jnp.inf)))
+        first = (start, jnp.float32(jnp.inf))
+        point, squared = jax.lax.fori_loop(0, most, iterate, first)
+
+        # Converged as Newton steps are, by the same tolerance.
         return Repeated(point, most, squared < NEWTON_STEPS.tolerance**2)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Newton:
-    """Take a few Newton steps up a smooth reward, for plans of seconds.
+    """Take a few Newton steps up a smooth reward, for horizons of several seconds.
 
-    Similar states give similar plans, see `ms_highway.numerics.convex_newton`.
+    Similar starts lead to similar plans, see `ms_highway.numerics.convex_newton`.
 
     Attributes:
-        ease: cost of plans, beside their reward, per squared scaled control that
-            changes the velocity, so that they do not follow every bump of the reward at
-            once; less for steering at low speed, see `ms_highway.game.game.discomfort`.
+        ease: weight on the control effort, a cost beside the reward per squared scaled
+            control that changes the velocity, so that plans do not follow every bump of
+            the reward at once; less for steering at low speed, see
+            `ms_highway.game.game.discomfort`.
         steps: largest number of steps where no human responds to them (static).
         joint_steps: largest number of steps to which humans respond (static).
-        continues: whether plans start from the rest of the last plan or, if that earns
-            more, from a simple manoeuvre (static).
+        continues: whether plans start from the rest of the last plan (warm start) or
+            from a simple manoeuvre that earns much more, see
+            `ms_highway.planning.plans.best_start` (static).
     """
 
     ease: Scalar = 0.0
@@ -169,11 +180,11 @@ class Newton:
 
     def repeat(
         self,
-        step: Callable[[Index, Point], Point],
-        start: Point,
+        step: Callable[[Index, Iterate], Iterate],
+        start: Iterate,
         most: Index,
-        controls: Callable[[Point], PyTree],
-    ) -> Repeated[Point]:
+        controls: Callable[[Iterate], PyTree],
+    ) -> Repeated[Iterate]:
         """Repeat a step until it hardly moves the controls, see `Ascent.repeat`."""
         return Repeated(*until_still(step, start, most, controls))
 
@@ -245,23 +256,29 @@ def gradient_steps(planning: PlanningSettings) -> tuple[int, float]:
     are at least 20 steps. With time steps of 0.1 s, these are 20 steps of 0.03 up to K
     = 7, 58 of 0.0104 at K = 10, and 929 of 0.00065 at K = 20.
     """
-    number = GRADIENT_STEPS.paper_number
-    size = GRADIENT_STEPS.paper_size
+    paper_number = GRADIENT_STEPS.paper_number
+    paper_size = GRADIENT_STEPS.paper_size
+
+    # The step size.
     longest = float(longest_step(planning.horizon, planning.time_step))
-    most = GRADIENT_STEPS.share_of_longest * longest
-    length = planning.step_size or min(size, most)
-    return planning.iterations or max(number, round(number * size / length)), length
+    safe = GRADIENT_STEPS.share_of_longest * longest
+    size = planning.step_size or min(paper_size, safe)
+
+    # The number of steps.
+    for_same_sum = round(paper_number * paper_size / size)
+    number = planning.iterations or max(paper_number, for_same_sum)
+    return number, size
 
 
 def longest_step(horizon: int, time_step: Scalar) -> Scalar:
     """Return the longest gradient step that does not overshoot an optimum.
 
-    It is the optimum of the paper's steepest feature.
+    The optimum is that of the paper's steepest feature, a squared lateral distance.
 
-    To first order, control j moves the car sideways by ``y_k = v dt^2 (k - 1 - j)`` at
-    step k. With s the largest singular value of this matrix, the curvature of ``-w
-    y^2``, summed over the steps, is at most ``2 w s^2``. The inverse of the curvature
-    is the step that reaches the optimum at once.
+    To first order, control j moves the car sideways by ``y_k = v dt^2 max(k - j, 0)``
+    at step k, both from 0. With s the largest singular value of this matrix, the
+    curvature of ``-w y^2``, summed over the steps, is at most ``2 w s^2``. The inverse
+    of the curvature is the step that reaches the optimum at once.
 
     Args:
         horizon: number of planned controls.
@@ -270,7 +287,10 @@ def longest_step(horizon: int, time_step: Scalar) -> Scalar:
     # dy_k / du_j per dt^2 [horizon, horizon], and its largest singular value.
     steps = np.arange(horizon)
     delays = np.maximum(np.subtract.outer(steps, steps), 0)
-    singular_value = float(np.linalg.norm(GRADIENT_STEPS.paper_speed * delays, 2))
+    sideways = GRADIENT_STEPS.paper_speed * delays
+    singular_value = float(np.linalg.norm(sideways, 2))
 
-    steepest = 2 * GRADIENT_STEPS.steepest_weight * singular_value**2
-    return (1 / steepest if steepest > 0 else np.inf) / time_step**4
+    # The inverse of the curvature; a horizon of one step does not move sideways.
+    curvature = 2 * GRADIENT_STEPS.steepest_weight * singular_value**2  # per dt^4
+    longest = 1 / curvature if curvature > 0 else np.inf
+    return longest / time_step**4

@@ -1,16 +1,21 @@
 """Improve the robot's plan jointly with the humans who respond to it: joint ascent.
 
 Under theory of mind, human i responds to the robot's controls u_R: its controls u_i
-maximise its own reward R_i. So the robot's reward R_R depends on u_R directly, and
-through the humans::
+maximise its own reward R_i. This is a Stackelberg game (bilevel optimisation) with the
+robot as its leader. The leader's total gradient has a direct part, and an indirect part
+through the best responses of the humans, by the implicit function theorem::
 
-    dR_R = (dR_R/du_R + sum_i J_i^T g_i) du_R
+    gradient = dR_R/du_R + sum_i J_i^T g_i
     g_i = dR_R/du_i,    J_i = du_i/du_R = -H_i^-1 M_i
     H_i = d2R_i/du_i2,  M_i = d2R_i/du_i du_R
 
-Every step of the ascent moves the robot along this gradient, and each responding human
-along dR_i/du_i. Humans do not respond to each other, and humans who do not respond
-drive as predicted.
+The theorem holds where u_i is the optimum. Like the paper, the ascent applies it on the
+way there, with a damped H_i unless `ms_highway.game.game.Game.influence` is "exact".
+
+Every iteration moves the robot along its gradient, and each responding human along
+dR_i/du_i: its *own step*. All of them see the plans before the iteration, the humans
+those of each other, too; only the gradient neglects how humans respond to each other
+(du_i/du_j = 0). Humans who do not respond drive as predicted.
 
 J_i is never formed (adjoint method). Rewards depend on controls through trajectories.
 With S_R = ds_R/du_R and S_i = ds_i/du_i of the trajectories s_R and s_i, and with B_i =
@@ -19,9 +24,11 @@ d2R_i/ds_i ds_R, which couples only fields of the same step::
     g_i = S_i^T dR_R/ds_i,  M_i = S_i^T B_i S_R
     J_i^T g_i = S_R^T B_i^T S_i (-H_i^-1 g_i)
 
-From the right: solve for the human's response to the robot's wish g_i, move the human
-by it, and see how that changes the slope of R_i in the robot's trajectory. That is one
-linear system per human, see `ms_highway.planning.responses`.
+From the right, without moving anybody: solve one linear system for the adjoint vector
+-H_i^-1 g_i, and push it to the trajectory of the human by S_i. B_i^T turns it into a
+derivative in the robot's trajectory: the human's *influence*. S_R^T pulls the sum of
+all influences back to the robot's controls. See `ms_highway.planning.responses`; the
+*slope in* a variable stands for the derivative in it.
 """
 
 from functools import partial
@@ -40,7 +47,7 @@ from ms_highway.game.game import (
     with_scripted,
 )
 from ms_highway.numerics.second_derivatives import (
-    response,
+    minus_inverse_times,
     second_order_expansion,
     trajectory_jacobian,
 )
@@ -49,8 +56,8 @@ from ms_highway.planning.joint_newton import newton_step
 from ms_highway.planning.plans import Plan, Solution, best_start, within_limits
 from ms_highway.planning.responders import Interaction, KnownResponders
 from ms_highway.planning.responses import (
-    in_controls,
-    slope_through,
+    influence_of,
+    pulled_back,
     trajectories_around,
 )
 from ms_highway.runtime.arrays import (
@@ -74,7 +81,7 @@ def plan_against(
     return joint_ascent(Interaction(game, state, nobody), Plan(start.robot, humans))
 
 
-@jax.jit  # traced once for the human and the robot
+@jax.jit  # one trace serves the plans of the robot and of humans under `turn`
 def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
     """Improve the controls of the robot and of the humans who respond to it.
 
@@ -94,39 +101,47 @@ def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
     responders = interaction.responders
     by_newton = not isinstance(solver, Ascent)
 
-    # Newton steps begin within the limits, the robot's perhaps at a manoeuvre.
-    if by_newton and not responders.nobody:
+    # Under Newton steps, humans who may respond start within their limits.
+    if by_newton and not responders.surely_nobody:
         start = within_limits(game, state, start)
     humans_paths = move_all(game, state[1 : 1 + game.number], start.humans)
-    others = with_scripted(game, state, humans_paths)
+    start_paths = with_scripted(game, state, humans_paths)
+
+    # The robot starts at the last plan or a much better manoeuvre, compared while the
+    # humans drive as in the start.
     if by_newton:
-        robot = best_start(game, state[0], start.robot, others)
+        robot = best_start(game, state[0], start.robot, start_paths)
         start = start._replace(robot=bounded(game, state[0], robot))
 
-    # What a step moves: the robot's controls and, if somebody may respond, the humans.
-    def step_alone(step: Index, robot: Controls) -> Controls:
-        plan, _ = _take_step(interaction, step, Plan(robot, start.humans), others)
+    # The iterate: the robot's controls and, if somebody may respond, also the humans'
+    # and the trajectories of all others.
+    def iterate_alone(iteration: Index, robot: Controls) -> Controls:
+        plan = Plan(robot, start.humans)
+        plan, _ = _take_step(interaction, iteration, plan, start_paths)
         return plan.robot
 
-    def step_jointly(
-        step: Index,
+    def iterate_jointly(
+        iteration: Index,
         now: tuple[Plan, Trajectories],
     ) -> tuple[Plan, Trajectories]:
-        plan, others = now
-        return _take_step(interaction, step, plan, others)
+        plan, paths = now
+        return _take_step(interaction, iteration, plan, paths)
 
     most = responders.most_steps(solver)
-    if responders.nobody:
-        alone = solver.repeat(step_alone, start.robot, most, lambda robot: robot)
-        return Solution(Plan(alone.point, start.humans), alone.steps, alone.converged)
-    joint = solver.repeat(step_jointly, (start, others), most, lambda now: now[0])
+    if responders.surely_nobody:
+        alone = solver.repeat(iterate_alone, start.robot, most, lambda robot: robot)
+        plan = Plan(alone.point, start.humans)
+        return Solution(plan, alone.steps, alone.converged)
+
+    iterate = (start, start_paths)
+    joint = solver.repeat(iterate_jointly, iterate, most, lambda now: now[0])
     plan, _ = joint.point
     return Solution(plan, joint.steps, joint.converged)
 
 
 def _take_step(
     interaction: Interaction,
-    step: Index,
+    iteration: Index,
     plan: Plan,
     others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
@@ -134,7 +149,7 @@ def _take_step(
 
     Args:
         interaction: the situation, and the humans who respond.
-        step: its number.
+        iteration: index of the step.
         plan: before the step.
         others: trajectories of all others under it.
 
@@ -142,13 +157,13 @@ def _take_step(
         The plan, and the trajectories of all others, after the step.
     """
     if isinstance(interaction.game.planner.solver, Ascent):
-        return _gradient_step(interaction, step, plan, others)
-    return newton_step(interaction, step, plan, others)
+        return _gradient_step(interaction, iteration, plan, others)
+    return newton_step(interaction, iteration, plan, others)
 
 
 def _gradient_step(
     interaction: Interaction,
-    step: Index,
+    iteration: Index,
     plan: Plan,
     others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
@@ -162,64 +177,77 @@ def _gradient_step(
     path = drive(plan.robot)
     slope_in_robot, slopes_in_others = game.payoff.slopes(path, others)
 
-    # The humans' own steps, and what the robot earns through their responses.
-    def respond(
-        human: Index,
-        now: tuple[Trajectory, jax.Array, Trajectories],
-    ) -> tuple[Trajectory, jax.Array, Trajectories]:
-        slope, humans, paths = now
+    # The humans' own steps and influences. All see the trajectories before the step.
+    def add_human(human: Index, so_far: _HumansSoFar) -> _HumansSoFar:
         around = trajectories_around(human, path, others)
-        answer = _gradient_response(
+        step = _human_gradient_step(
             interaction, human, plan, others[human], around, slopes_in_others[human]
         )
-        return (
-            slope + answer.robot_slope,
-            humans.at[human].set(answer.controls),
-            paths.at[human].set(answer.path),
+        return _HumansSoFar(
+            so_far.robot_slope + step.influence,
+            so_far.controls.at[human].set(step.controls),
+            so_far.paths.at[human].set(step.path),
         )
 
-    before = (slope_in_robot, jnp.asarray(plan.humans), others)
-    slope, humans, paths = responders.fold(responders.count(step), respond, before)
+    nobody_yet = _HumansSoFar(slope_in_robot, jnp.asarray(plan.humans), others)
+    count = responders.count(iteration)
+    humans = responders.fold(count, add_human, nobody_yet)
 
-    # The robot's step, along its reward and what it earns through the humans.
+    # The robot's step along its total gradient, less the slope of its control costs.
     jacobian = trajectory_jacobian(drive, plan.robot)
-    uphill = in_controls(slope, jacobian).reshape(-1, 2)
+    uphill = pulled_back(humans.robot_slope, jacobian).reshape(-1, 2)
     gradient = uphill - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
     climbed = plan.robot + responders.robot_step_size(solver) * gradient
-    return Plan(bounded(game, state[0], climbed), humans), paths
+    robot = bounded(game, state[0], climbed)
+    return Plan(robot, humans.controls), humans.paths
 
 
-class _GradientResponse(NamedTuple):
+class _HumansSoFar(NamedTuple):
+    """What a gradient step collects from the responding humans, one by one.
+
+    Attributes:
+        robot_slope: slope of R_R in the robot's trajectory, with the influences of the
+            humans so far.
+        controls: of all humans, after the own steps so far.
+        paths: trajectories of all others under them.
+    """
+
+    robot_slope: Trajectory
+    controls: jax.Array
+    paths: Trajectories
+
+
+class _HumanStep(NamedTuple):
     """A human's part in a gradient step.
 
     Attributes:
-        robot_slope: of R_R in the robot's trajectory, through the human's response.
+        influence: slope of R_R in the robot's trajectory, through the human.
         controls: of the human, after its own step.
         path: trajectory of the human under them.
     """
 
-    robot_slope: Trajectory
+    influence: Trajectory
     controls: Controls
     path: Trajectory
 
 
-def _gradient_response(
+def _human_gradient_step(
     interaction: Interaction,
     human: Index,
     plan: Plan,
     path: Trajectory,
     around: Trajectories,
-    wish: Trajectory,
-) -> _GradientResponse:
-    """Take a human's own gradient step, and see what the robot earns through it.
+    robot_slope: Trajectory,
+) -> _HumanStep:
+    """Take a human's own gradient step, and compute its influence on the robot.
 
     Args:
         interaction: the situation, and the humans who respond.
-        human: its number.
+        human: index of the human.
         plan: before the step.
         path: trajectory of the human under it.
         around: trajectories of all others under it, the robot's first.
-        wish: dR_R/ds_i, what the robot wishes of the human's trajectory.
+        robot_slope: dR_R/ds_i, of the robot's reward in the human's trajectory.
     """
     solver = interaction.game.planner.solver
     assert isinstance(solver, Ascent)
@@ -228,20 +256,23 @@ def _gradient_response(
     drive = partial(move, own_game, car)
     controls = plan.humans[human]
 
-    # The human's reward to second order in its controls.
+    # The human's reward, less the cost of its controls, to second order in them.
     derivatives = own_game.payoff.second_order(path, around)
     cost = partial(discomfort, own_game, car)
     expansion = second_order_expansion(
         drive, controls, derivatives.gradient, derivatives.hessian, cost
     )
 
-    # What the robot earns through the human's response to its plan.
-    wanted = in_controls(wish, expansion.jacobian)
-    answer = response(interaction.game.influence, expansion.hessian, wanted)
-    robot_slope = slope_through(expansion.jacobian, answer, derivatives.partner)
+    # The human's influence B_i^T S_i (-H_i^-1 g_i).
+    robot_gradient = pulled_back(robot_slope, expansion.jacobian)  # g_i
+    adjoint = minus_inverse_times(
+        interaction.game.influence, expansion.hessian, robot_gradient
+    )
+    influence = influence_of(expansion.jacobian, adjoint, derivatives.mixed_hessian)
 
     # The human's own step.
     step_size = interaction.responders.step_size(solver, human)
-    climbed = controls + step_size * expansion.gradient.reshape(-1, 2)
+    gradient = expansion.gradient.reshape(-1, 2)
+    climbed = controls + step_size * gradient
     after = bounded(own_game, car, climbed)
-    return _GradientResponse(robot_slope, after, drive(after))
+    return _HumanStep(influence, after, drive(after))

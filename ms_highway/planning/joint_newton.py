@@ -1,9 +1,13 @@
-"""Take a Newton step of the joint ascent, for horizons of seconds.
+"""Take a Newton step of the joint ascent, for horizons of several seconds.
 
 The gradient and its symbols are those of `ms_highway.planning.joint`, the steps those
-of `ms_highway.numerics.convex_newton`: the convex curvature C_i of an expansion takes
-the place of -H_i. The robot and the humans take their steps together, so that the share
-of the step has to be judged once the humans have taken theirs.
+of `ms_highway.numerics.convex_newton`. The convex curvature C_i of a local model takes
+the place of -H_i, also in J_i: the robot anticipates the response of a human with this
+curvature, whatever `ms_highway.game.game.Game.influence` is.
+
+Beside their own steps, the humans react to the robot's step du_R, by J_i du_R. Robot
+and humans move together, so that the line search judges the end of the robot's step
+with the own steps and the reactions of the humans included.
 """
 
 from collections.abc import Callable
@@ -14,15 +18,15 @@ from jax import numpy as jnp
 from jaxtyping import Float
 
 from ms_highway.game.game import Game, bounded, move, swap_roles
-from ms_highway.numerics.convex_newton import Local, expand, improve, share
+from ms_highway.numerics.convex_newton import LocalModel, best_share, expand, improve
 from ms_highway.numerics.objective import Objective
-from ms_highway.planning.plans import Plan, driving
+from ms_highway.planning.plans import Plan, plan_objective
 from ms_highway.planning.responders import Interaction
 from ms_highway.planning.responses import (
-    in_controls,
-    mixed_bends,
+    influence_of,
+    mixed_hessian,
+    pulled_back,
     slope_change,
-    slope_through,
     trajectories_around,
 )
 from ms_highway.runtime.arrays import (
@@ -36,39 +40,41 @@ from ms_highway.runtime.arrays import (
 )
 
 
-class Point(NamedTuple):
+class StepStart(NamedTuple):
     """Where a Newton step starts.
 
     Attributes:
         plan: of the robot and the humans.
         path: trajectory s_R of the robot.
         others: trajectories of all others, the humans' s_i first.
-        wishes: dR_R/ds of the others, what the robot wishes of each trajectory.
-        reward: R_R, expanded around the robot's controls.
+        robot_slopes: dR_R/ds of the others: the slope of the robot's reward in each of
+            their trajectories.
+        model: of R_R around the robot's controls.
     """
 
     plan: Plan
     path: Trajectory
     others: Trajectories
-    wishes: Trajectories
-    reward: Local
+    robot_slopes: Trajectories
+    model: LocalModel
 
 
-class Responses(NamedTuple):
+class HumansSoFar(NamedTuple):
     """What a Newton step collects from the responding humans, one by one.
 
     Attributes:
-        gradient: of R_R in the robot's ravelled controls, with what it earns through
-            the humans so far.
-        reward: R_i of each human, expanded around its controls.
-        coupling: B_i of each human.
-        humans: controls, after the own steps of the humans so far.
+        gradient: of R_R in the robot's ravelled controls, with the influences of the
+            humans so far.
+        models: of R_i around each human's controls; every array has a first axis of
+            humans.
+        mixed_hessians: B_i of each human.
+        controls: after the own steps of the humans so far.
     """
 
     gradient: Vector
-    reward: Local
-    coupling: Float[jax.Array, "humans fields fields steps"]
-    humans: Float[jax.Array, "humans steps 2"]
+    models: LocalModel
+    mixed_hessians: Float[jax.Array, "humans fields fields steps"]
+    controls: Float[jax.Array, "humans steps 2"]
 
 
 class WholeStep(NamedTuple):
@@ -87,15 +93,15 @@ class WholeStep(NamedTuple):
 
 def newton_step(
     interaction: Interaction,
-    step: Index,
+    iteration: Index,
     plan: Plan,
     others: Trajectories,
 ) -> tuple[Plan, Trajectories]:
     """Take a Newton step of the robot and of the humans who respond.
 
     1. Each human takes a step of its own, as if the robot kept to its plan.
-    2. The robot's whole step follows from its gradient, with what it earns through the
-       humans. Each human reacts to this step linearly.
+    2. The robot's whole step follows from its total gradient. Each human reacts to this
+       step linearly.
     3. The robot takes a share of its step, and the humans the same share of their
        reactions.
     """
@@ -103,175 +109,189 @@ def newton_step(
     state = interaction.state
     responders = interaction.responders
     path = move(game, state[0], plan.robot)
-    objective = driving(game, state[0], others)
+    objective = plan_objective(game, state[0], others)
     slope_in_robot, slopes_in_others = game.payoff.slopes(path, others)
-    reward = expand(objective, plan.robot, path, slope_in_robot)
-    if responders.nobody:  # so that the robot climbs its own reward
-        return Plan(improve(objective, plan.robot, reward), plan.humans), others
-    point = Point(plan, path, others, slopes_in_others, reward)
+    model = expand(objective, plan.robot, path, slope_in_robot)
 
-    # The humans' own steps, and what the robot earns through their responses.
-    def respond(human: Index, responses: Responses) -> Responses:
-        return _respond(interaction, point, human, responses)
+    # If nobody responds, take the usual step up the robot's own objective.
+    if responders.surely_nobody:
+        robot = improve(objective, plan.robot, model)
+        return Plan(robot, plan.humans), others
+    start = StepStart(plan, path, others, slopes_in_others, model)
 
-    count = responders.count(step)
-    responses = responders.fold(count, respond, _no_responses(game, point))
+    # The humans' own steps and influences.
+    def add_human(human: Index, so_far: HumansSoFar) -> HumansSoFar:
+        return _with_human(interaction, start, human, so_far)
 
-    # The robot's whole step, and the reactions of the humans to it.
-    robot_step = reward.step(responses.gradient)
-    path_change = reward.jacobian @ robot_step  # to first order
+    count = responders.count(iteration)
+    humans = responders.fold(count, add_human, _no_humans(game, start))
+
+    # The robot's whole step, and the reactions of the humans to it. Limits cut neither
+    # of them, only the controls that a share of them leads to.
+    robot_step = model.step(humans.gradient)
+    path_change = model.jacobian @ robot_step  # to first order
 
     def react(human: Index, reactions: jax.Array) -> jax.Array:
-        reaction = _reaction(human, responses, path_change)
+        reaction = _reaction(human, humans, path_change)
         return reactions.at[human].set(reaction)
 
     reactions = responders.fold(count, react, jnp.zeros_like(plan.humans))
-    whole = WholeStep(robot_step, responses.humans, reactions)
+    whole = WholeStep(robot_step, humans.controls, reactions)
 
     # The share of it that they take.
-    def robot_after(part: Scalar) -> Controls:
-        climbed = plan.robot + part * whole.robot.reshape(-1, 2)
+    def robot_after(share: Scalar) -> Controls:
+        climbed = plan.robot + share * whole.robot.reshape(-1, 2)
         return bounded(game, state[0], climbed)
 
-    def humans_after(part: Scalar) -> tuple[HumansControls, Trajectories]:
-        return _humans_after(interaction, count, point, whole, part)
+    def humans_after(share: Scalar) -> tuple[HumansControls, Trajectories]:
+        return _humans_after(interaction, count, start, whole, share)
 
-    gradient = responses.gradient
-    part = _share_of_step(game, point, objective, gradient, robot_after, humans_after)
-    humans, paths = humans_after(part)
-    return Plan(robot_after(part), humans), paths
-
-
-def _no_responses(game: Game, point: Point) -> Responses:
-    """Return what a Newton step has collected before any human has responded."""
-    rewards = jax.tree.map(
-        lambda part: jnp.zeros((game.number, *part.shape)), point.reward
+    share = _share_of_step(
+        game, start, objective, humans.gradient, robot_after, humans_after
     )
-    couplings = jnp.zeros((game.number, len(point.path), *point.path.shape))
-    return Responses(
-        point.reward.gradient, rewards, couplings, jnp.asarray(point.plan.humans)
-    )
+    humans_controls, paths = humans_after(share)
+    return Plan(robot_after(share), humans_controls), paths
 
 
-def _respond(
+def _no_humans(game: Game, start: StepStart) -> HumansSoFar:
+    """Return what a Newton step has collected before the first human."""
+
+    def zeros_of_humans(array: jax.Array) -> jax.Array:
+        return jnp.zeros((game.number, *array.shape))
+
+    models = jax.tree.map(zeros_of_humans, start.model)
+    mixed_hessians = jnp.zeros((game.number, len(start.path), *start.path.shape))
+    controls = jnp.asarray(start.plan.humans)
+    return HumansSoFar(start.model.gradient, models, mixed_hessians, controls)
+
+
+def _with_human(
     interaction: Interaction,
-    point: Point,
+    start: StepStart,
     human: Index,
-    responses: Responses,
-) -> Responses:
-    """Take a human's own step, and add what the robot earns through its response.
+    so_far: HumansSoFar,
+) -> HumansSoFar:
+    """Add a human: its own step, and its influence on the robot's gradient.
 
     Args:
         interaction: the situation.
-        point: where the step starts.
-        human: its number.
-        responses: of the humans before this one.
+        start: where the step starts.
+        human: index of the human.
+        so_far: of the humans before this one.
     """
     own_game = swap_roles(interaction.game, human)
-    around = trajectories_around(human, point.path, point.others)
-    controls = point.plan.humans[human]
-    path = point.others[human]
-    objective = driving(own_game, interaction.state[1 + human], around)
-    reward = expand(objective, controls, path)
-    coupling = mixed_bends(own_game, path, around)
+    around = trajectories_around(human, start.path, start.others)
+    controls = start.plan.humans[human]
+    path = start.others[human]
+    objective = plan_objective(own_game, interaction.state[1 + human], around)
+    model = expand(objective, controls, path)
+    mixed = mixed_hessian(own_game, path, around)
 
-    wish = in_controls(point.wishes[human], reward.jacobian)
-    answer = reward.solve(wish)
-    through = slope_through(reward.jacobian, answer, coupling)
-    gradient = responses.gradient + in_controls(through, point.reward.jacobian)
+    # The influence S_R^T B_i^T S_i C_i^-1 g_i.
+    robot_gradient = pulled_back(start.robot_slopes[human], model.jacobian)  # g_i
+    adjoint = model.solve(robot_gradient)
+    influence = influence_of(model.jacobian, adjoint, mixed)
+    gradient = so_far.gradient + pulled_back(influence, start.model.jacobian)
 
-    rewards = jax.tree.map(
-        lambda humans, one: humans.at[human].set(one), responses.reward, reward
+    # Keep the model for the reaction, and take the own step.
+    models = jax.tree.map(
+        lambda of_humans, own: of_humans.at[human].set(own), so_far.models, model
     )
-    return Responses(
-        gradient,
-        rewards,
-        responses.coupling.at[human].set(coupling),
-        responses.humans.at[human].set(improve(objective, controls, reward)),
-    )
+    mixed_hessians = so_far.mixed_hessians.at[human].set(mixed)
+    after = improve(objective, controls, model)
+    all_controls = so_far.controls.at[human].set(after)
+    return HumansSoFar(gradient, models, mixed_hessians, all_controls)
 
 
-def _reaction(human: Index, responses: Responses, path_change: Trajectory) -> Controls:
-    """Return ``J_i du_R = -H_i^-1 S_i^T B_i S_R du_R``, shortened like a Newton step.
+def _reaction(human: Index, humans: HumansSoFar, path_change: Trajectory) -> Controls:
+    """Return ``J_i du_R = C_i^-1 S_i^T B_i S_R du_R``, cut to the longest Newton step.
 
     Args:
-        human: number of the human.
-        responses: of all humans.
+        human: index of the human.
+        humans: what the step has collected from all of them.
         path_change: ``S_R du_R``, the change of the robot's trajectory.
     """
-    reward = jax.tree.map(lambda part: part[human], responses.reward)
-    coupling = jnp.swapaxes(responses.coupling[human], 0, 1)  # the robot's fields first
-    slope = slope_change(coupling, path_change)
-    return reward.step(in_controls(slope, reward.jacobian)).reshape(-1, 2)
+    model = jax.tree.map(lambda of_humans: of_humans[human], humans.models)
+
+    # The robot's trajectory moves, so that its fields have to come first in B_i.
+    robot_first = jnp.swapaxes(humans.mixed_hessians[human], 0, 1)
+    slope = slope_change(robot_first, path_change)
+    gradient = pulled_back(slope, model.jacobian)
+    return model.step(gradient).reshape(-1, 2)
 
 
 def _humans_after(
     interaction: Interaction,
     count: Index,
-    point: Point,
+    start: StepStart,
     whole: WholeStep,
-    part: Scalar,
+    share: Scalar,
 ) -> tuple[HumansControls, Trajectories]:
     """Return the humans' controls and all others' trajectories after a share of a step.
 
-    The humans have taken their own steps, and a part of their reactions.
+    The humans have taken their own steps, and the share of their reactions.
 
     Args:
         interaction: the situation, and the humans who respond.
         count: number of humans who respond in this step.
-        point: where the step starts.
+        start: where the step starts.
         whole: the whole step.
-        part: share of the reactions.
+        share: of the reactions.
     """
     game = interaction.game
 
-    def put(
+    def move_human(
         human: Index,
         now: tuple[jax.Array, Trajectories],
     ) -> tuple[jax.Array, Trajectories]:
         humans, paths = now
         car = interaction.state[1 + human]
-        reacted = whole.humans[human] + part * whole.reactions[human]
+        reacted = whole.humans[human] + share * whole.reactions[human]
         controls = bounded(game, car, reacted)
         path = move(game, car, controls)
         return humans.at[human].set(controls), paths.at[human].set(path)
 
-    before = (jnp.asarray(point.plan.humans), point.others)
-    return interaction.responders.fold(count, put, before)
+    before = (jnp.asarray(start.plan.humans), start.others)
+    return interaction.responders.fold(count, move_human, before)
 
 
 def _share_of_step(
     game: Game,
-    point: Point,
+    start: StepStart,
     objective: Objective,
     gradient: Vector,
     robot_after: Callable[[Scalar], Controls],
     humans_after: Callable[[Scalar], tuple[HumansControls, Trajectories]],
 ) -> Scalar:
-    """Return the share of a whole step to take, by the robot's slopes at both its ends.
+    """Return the share of a whole step to take, see `best_share`.
 
-    See `ms_highway.numerics.convex_newton.share`. At the end of the step, the humans
-    have taken their steps and reacted to the robot's.
+    It follows from the derivatives of R_R along the step at both ends of the step. Both
+    count what the humans' reactions change: at the start by the influences in the
+    gradient, at the end by the trajectories with and without reactions. At the end, the
+    humans have taken their own steps, too.
 
     Args:
         game: that is played.
-        point: where the step starts.
+        start: where the step starts.
         objective: of the robot.
-        gradient: of the robot at the start, with what it earns through the humans.
+        gradient: total gradient of the robot at the start.
         robot_after: returns the robot's controls after a share of the step.
         humans_after: returns the humans' controls and all others' trajectories then.
     """
+    # The change of the robot, and where all are at the end of the step.
     full_step = robot_after(jnp.ones(()))
-    change = full_step - point.plan.robot
+    change = full_step - start.plan.robot
     _, paths_with_reactions = humans_after(jnp.ones(()))
     path, path_change = jax.jvp(objective.path, (full_step,), (change,))
     slope_in_robot, slopes_in_others = game.payoff.slopes(path, paths_with_reactions)
 
     # The slope along the step at its end: of the reward in the robot's trajectory, of
     # the cost of its controls, and of the reward in the trajectories of those reacting.
-    slope = jnp.sum(slope_in_robot * path_change)
-    slope -= jnp.sum(jax.grad(objective.cost)(full_step) * change)
+    slope_at_end = jnp.sum(slope_in_robot * path_change)
+    slope_at_end -= jnp.sum(jax.grad(objective.cost)(full_step) * change)
     _, paths_without_reactions = humans_after(jnp.zeros(()))
-    reactions = paths_with_reactions - paths_without_reactions
-    slope += jnp.sum(slopes_in_others * reactions)
-    return share(gradient @ change.ravel(), slope)
+    path_reactions = paths_with_reactions - paths_without_reactions
+    slope_at_end += jnp.sum(slopes_in_others * path_reactions)
+
+    slope_at_start = gradient @ change.ravel()
+    return best_share(slope_at_start, slope_at_end)

@@ -1,7 +1,8 @@
-"""Drive simply, into lanes and gaps.
+"""Simple manoeuvres, into lanes and into gaps between cars.
 
-Manoeuvres are the ways out of `ms_highway.planning.way_out`, and possible starts of
-plans for seconds.
+They are the fallback manoeuvres of `ms_highway.planning.way_out`, and candidates for
+the start of plans whose horizon is several seconds long, see
+`ms_highway.planning.plans.best_start`.
 """
 
 from collections.abc import Callable, Sequence
@@ -24,11 +25,11 @@ Inputs = TypeVar("Inputs")
 
 
 @dataclass(frozen=True)
-class LaneSteering:
+class ManoeuvreSteering:
     """Set how a car steers to the middle of a lane, critically damped."""
 
     frequency: float = 2.5
-    """Of the approach [rad/s]."""
+    """Natural frequency of the approach [rad/s]."""
     max_lateral_acceleration: float = 6.0
     """Largest lateral acceleration [m/s^2]."""
     min_speed: float = 3.0
@@ -59,7 +60,7 @@ class GapEntry:
     """Distance to the place in the gap within which a car changes lanes [m]."""
 
 
-LANE_STEERING = LaneSteering()
+MANOEUVRE_STEERING = ManoeuvreSteering()
 GAP_ENTRY = GapEntry()
 
 
@@ -84,19 +85,17 @@ def manoeuvres(
         steps: number of steps.
         accelerations: to hold [m/s^2].
     """
-    lanes, held = jnp.meshgrid(
-        jnp.asarray(game.scene.lanes),
-        jnp.asarray(np.asarray(accelerations, np.float32)),
-        indexing="ij",
-    )
+    lanes = jnp.asarray(game.scene.lanes)
+    held = jnp.asarray(np.asarray(accelerations, np.float32))
+    lane_of, acceleration_of = jnp.meshgrid(lanes, held, indexing="ij")
 
     def go_to(lane: Scalar, acceleration: Scalar) -> Manoeuvres:
-        def control(car: Car, _: None) -> Control:
+        def control_of(car: Car, _: None) -> Control:
             return _towards(game, car, lane, acceleration)
 
-        return _drive(game, car, control, None, steps)
+        return _drive(game, car, control_of, None, steps)
 
-    return jax.vmap(go_to)(lanes.ravel(), held.ravel())
+    return jax.vmap(go_to)(lane_of.ravel(), acceleration_of.ravel())
 
 
 class _Gap(NamedTuple):
@@ -133,12 +132,18 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Manoeuvres:
     own_lane = _nearest(jnp.asarray(game.scene.lanes), car[1])
 
     def go_into(gap: _Gap) -> Manoeuvres:
-        def control(car: Car, now: tuple[jax.Array, jax.Array, jax.Array]) -> Control:
-            return _into_gap(game, car, length, own_lane, _Gap(gap.lane, *now))
+        def control_of(
+            car: Car,
+            now: tuple[jax.Array, jax.Array, jax.Array],
+        ) -> Control:
+            gap_now = _Gap(gap.lane, *now)
+            return _into_gap(game, car, length, own_lane, gap_now)
 
-        return _drive(game, car, control, (gap.middle, gap.half, gap.speed), None)
+        gap_by_step = (gap.middle, gap.half, gap.speed)
+        return _drive(game, car, control_of, gap_by_step, None)
 
-    return jax.vmap(go_into)(_gaps(game, car, length, others))
+    gaps = _gaps(game, car, length, others)
+    return jax.vmap(go_into)(gaps)
 
 
 def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
@@ -150,33 +155,44 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
     x = others.x
     speed = others.speed
 
-    # Who leads each of the others in its lane now, and who is the last of each lane.
+    # Who leads each of the others in its lane now.
     lane_of: jax.Array = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
     same_lane = lane_of == lane_of[:, None]  # [others, others]
-    leader, leads = nearest_ahead(x[:, 0] - x[:, :1], same_lane)
+    ahead_by = x[:, 0] - x[:, :1]  # [others, others]
+    leader, leads = nearest_ahead(ahead_by, same_lane)
     leads = leads[:, None]
+
+    # Who is the last of each lane.
     in_lane = lane_of == lanes[:, None]  # [lanes, others]
-    last = jnp.argmin(jnp.where(in_lane, x[:, 0], jnp.inf), axis=-1)
+    x_in_lane = jnp.where(in_lane, x[:, 0], jnp.inf)
+    last = jnp.argmin(x_in_lane, axis=-1)
     is_taken = in_lane.any(axis=1)[:, None]
 
-    # The ends of each gap; in an empty lane, both are where the car keeps its speed.
+    # In an empty lane, both ends of the gap are where the car keeps its speed.
     steps = jnp.arange(1, 1 + x.shape[1])
     steady = car[0] + car[3] * game.dynamics.time_step * steps
-    behind_last = jnp.where(is_taken, x[last] - GAP_ENTRY.open_length * length, steady)
+
+    # The rear end of each gap: one of the others, or free road behind a last car.
+    open_behind = x[last] - GAP_ENTRY.open_length * length
+    behind_last = jnp.where(is_taken, open_behind, steady)
     back = jnp.concatenate([x, behind_last])
-    ahead = jnp.where(leads, x[leader], x + GAP_ENTRY.open_length * length)
-    front = jnp.concatenate([ahead, jnp.where(is_taken, x[last], steady)])
+
+    # Its front end: the leader or free road, or the last car of a lane.
+    open_ahead = x + GAP_ENTRY.open_length * length
+    ahead = jnp.where(leads, x[leader], open_ahead)
+    last_car = jnp.where(is_taken, x[last], steady)
+    front = jnp.concatenate([ahead, last_car])
 
     # Its speed: the mean of both ends, or that of its only end.
     ahead_speed = jnp.where(leads, speed[leader], speed)
     last_speed = jnp.where(is_taken, speed[last], car[3])
-    gap_speed = jnp.concatenate([(speed + ahead_speed) / 2, last_speed])
-    return _Gap(
-        jnp.concatenate([lane_of, lanes]),
-        middle=(back + front) / 2,
-        half=(front - back) / 2,
-        speed=gap_speed,
-    )
+    mean_speed = (speed + ahead_speed) / 2
+    gap_speed = jnp.concatenate([mean_speed, last_speed])
+
+    gap_lane = jnp.concatenate([lane_of, lanes])
+    middle = (back + front) / 2
+    half = (front - back) / 2
+    return _Gap(gap_lane, middle, half, gap_speed)
 
 
 def _into_gap(
@@ -195,51 +211,66 @@ def _into_gap(
         own_lane: lateral position of the lane from which it comes [m].
         gap: after the step.
     """
-    # Accelerate to the nearest place with the margin to both ends, and to its speed.
+    # How far the car is from the middle after the step, and from the nearest place that
+    # keeps the margin to both ends.
     offset = car[0] + car[3] * game.dynamics.time_step - gap.middle
-    spare = jnp.maximum(gap.half - GAP_ENTRY.margin * length, 0.0)
-    lack = jnp.clip(offset, -spare, spare) - offset
-    speed_lack = gap.speed - car[3]
-    pull = GAP_ENTRY.place_gain * lack + GAP_ENTRY.speed_gain * speed_lack
+    half_with_margin = gap.half - GAP_ENTRY.margin * length
+    spare = jnp.maximum(half_with_margin, 0.0)
+    nearest_place = jnp.clip(offset, -spare, spare)
+    distance = nearest_place - offset
+
+    # Accelerate to this place, and to its speed.
+    speed_difference = gap.speed - car[3]
+    to_place = GAP_ENTRY.place_gain * distance
+    to_speed = GAP_ENTRY.speed_gain * speed_difference
+    pull = to_place + to_speed
 
     # Change lanes once the car fits between both ends.
-    room = jnp.maximum(gap.half - length, 0.0) + GAP_ENTRY.tolerance
+    half_without_body = jnp.maximum(gap.half - length, 0.0)
+    room = half_without_body + GAP_ENTRY.tolerance
     enters = jnp.abs(offset) < room
-    return _towards(
-        game,
-        car,
-        jnp.where(enters, gap.lane, own_lane),
-        jnp.clip(pull, -GAP_ENTRY.max_braking, GAP_ENTRY.max_acceleration),
-    )
+    lane = jnp.where(enters, gap.lane, own_lane)
+    acceleration = jnp.clip(pull, -GAP_ENTRY.max_braking, GAP_ENTRY.max_acceleration)
+    return _towards(game, car, lane, acceleration)
 
 
 def _nearest(lanes: Float[jax.Array, "lanes"], y: Scalar) -> jax.Array:
     """Return the lateral position of the lane that is nearest to another one."""
-    return lanes[jnp.argmin(jnp.abs(lanes - y))]
+    distances = jnp.abs(lanes - y)
+    return lanes[jnp.argmin(distances)]
 
 
 def _towards(game: Game, car: Car, lane: Scalar, acceleration: Scalar) -> Control:
     """Return the control, not scaled, towards the middle of a lane.
 
     The car steers by a lateral acceleration of ``-w^2 (y - y_lane) - 2 w v
-    sin(heading)``, keeps to the limits of plans, and does not reverse.
+    sin(heading)``, keeps to the control limits and the grip of the planner, and does
+    not reverse.
     """
     _, y, heading, speed = car
     limit = jnp.asarray(game.planner.control_limit)
 
-    # Lateral acceleration, as a yaw rate or a curvature.
-    w = LANE_STEERING.frequency
-    wanted = -(w**2) * (y - lane) - 2 * w * speed * jnp.sin(heading)
-    most = LANE_STEERING.max_lateral_acceleration
+    # The lateral acceleration of a critically damped approach.
+    w = MANOEUVRE_STEERING.frequency
+    to_middle = -(w**2) * (y - lane)
+    damping = 2 * w * speed * jnp.sin(heading)
+    wanted = to_middle - damping
+    most = MANOEUVRE_STEERING.max_lateral_acceleration
     lateral = jnp.clip(wanted, -most, most)
-    omega = lateral / jnp.maximum(speed, LANE_STEERING.min_speed)
-    if game.dynamics.steering == "curvature":
-        omega = omega / jnp.maximum(speed, LANE_STEERING.min_speed)
 
-    # Braking that ends at standstill, and the limits.
-    change = jnp.maximum(acceleration, -speed / game.dynamics.time_step)
+    # As a yaw rate, a_lateral / v, or a curvature, a_lateral / v^2.
+    omega = lateral / jnp.maximum(speed, MANOEUVRE_STEERING.min_speed)
+    if game.dynamics.steering == "curvature":
+        omega = omega / jnp.maximum(speed, MANOEUVRE_STEERING.min_speed)
+
+    # Braking that ends at standstill.
+    to_standstill = -speed / game.dynamics.time_step
+    change = jnp.maximum(acceleration, to_standstill)
     along = change + keep_velocity(game.dynamics, car)[1]
-    control = jnp.clip(jnp.stack([omega, along]), -limit, limit)
+
+    # The limits.
+    control = jnp.stack([omega, along])
+    control = jnp.clip(control, -limit, limit)
     if game.planner.grip is None:
         return control
     grip = jnp.asarray(game.planner.grip)
@@ -267,7 +298,8 @@ def _drive(
     def go(car: jax.Array, now: Inputs) -> tuple[jax.Array, Manoeuvres]:
         control = jnp.asarray(control_of(car, now))
         after = step(game.dynamics, car, control)
-        return after, Manoeuvres(control / game.planner.control_scale, after)
+        scaled = control / game.planner.control_scale
+        return after, Manoeuvres(scaled, after)
 
     _, driven = jax.lax.scan(go, jnp.asarray(car), inputs, steps)
     return driven

@@ -1,7 +1,4 @@
-"""Define plans and their solutions.
-
-That is: where plans start from, what they maximise, and their limits.
-"""
+"""Define plans, their initial guesses, their objective and their limits."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -37,10 +34,10 @@ from ms_highway.runtime.arrays import (
 
 @dataclass(frozen=True)
 class RestartSettings:
-    """Set when a plan starts from a simple manoeuvre instead of the last plan."""
+    """Set when a plan starts from a simple manoeuvre instead of the usual start."""
 
     margin: float = 5.0
-    """Reward by which a manoeuvre has to be better than the last plan, so that small
+    """Reward by which a manoeuvre has to be better than the usual start, so that small
     gains do not change plans.
     """
     accelerations: tuple[float, ...] = (
@@ -58,11 +55,12 @@ RESTART = RestartSettings()
 
 
 class Plan(NamedTuple):
-    """The robot's controls and the controls that they expect of every human.
+    """The robot's controls, and the controls that the plan expects of every human.
 
-    Models and starts hold scaled controls; times ``game.planner.control_scale``, they
-    are curvatures [1/m] and accelerations before friction [m/s^2], as
-    `ms_highway.planning.compiled_plans.plan` returns them.
+    Inside the package, they are scaled: divided by ``game.planner.control_scale``. Only
+    `ms_highway.planning.compiled_plans.plan`, for users, returns them in SI units:
+    curvatures [1/m], or yaw rates [rad/s] under ``steering="yaw_rate"`` of
+    `ms_highway.game.dynamics.Dynamics`, and accelerations before friction [m/s^2].
     """
 
     robot: Controls
@@ -71,8 +69,10 @@ class Plan(NamedTuple):
     def later(self) -> "Plan":
         """Return the rest of the plan a step later; its last controls are repeated."""
         xp = self.robot.__array_namespace__()  # of NumPy or JAX
-        robot = xp.concat([self.robot[1:], self.robot[-1:]])
-        humans = xp.concat([self.humans[:, 1:], self.humans[:, -1:]], axis=1)
+        last_of_robot = self.robot[-1:]
+        robot = xp.concat([self.robot[1:], last_of_robot])
+        last_of_humans = self.humans[:, -1:]
+        humans = xp.concat([self.humans[:, 1:], last_of_humans], axis=1)
         return Plan(robot, humans)
 
 
@@ -93,8 +93,8 @@ class Solution(NamedTuple):
 def cold_start(game: Game, state: State) -> Plan:
     """Return the plan from which planning starts without a last plan.
 
-    All controls are zero, the paper's start; under a smooth reward, they keep the
-    velocity.
+    All controls are zero, the paper's start. Under a smooth reward, the controls keep
+    the velocity instead.
     """
     cars = 1 + game.number
     if game.planner.solver.smooth:
@@ -104,7 +104,7 @@ def cold_start(game: Game, state: State) -> Plan:
     return Plan(controls[0], controls[1:])
 
 
-def driving(game: Game, car: Car, others: Trajectories) -> Objective:
+def plan_objective(game: Game, car: Car, others: Trajectories) -> Objective:
     """Return what car 0 of a game maximises over its controls.
 
     Args:
@@ -124,18 +124,20 @@ def driving(game: Game, car: Car, others: Trajectories) -> Objective:
     )
 
 
-def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Controls:
-    """Return the controls to start from: the last plan's, or a much better manoeuvre.
+def best_start(game: Game, car: Car, usual: Controls, others: Trajectories) -> Controls:
+    """Return the controls to start from: the usual ones, or a much better manoeuvre.
 
-    A manoeuvre has to earn the margin of `RestartSettings` more. The steps of a solver
-    do not leave a local optimum: so there is a manoeuvre per gap, and one per lane and
-    acceleration, see `ms_highway.planning.manoeuvres`. Only plans that continue and
-    climb a smooth reward start from manoeuvres.
+    This is a multi-start, as the steps of a solver do not leave a local optimum. There
+    is a manoeuvre per gap, and one per lane and acceleration, see
+    `ms_highway.planning.manoeuvres`; one has to earn the margin of `RestartSettings`
+    more than the usual controls. Only solvers with a warm start (``continues``) and a
+    smooth reward try manoeuvres.
 
     Args:
         game: of the robot.
         car: its state now.
-        last: scaled controls of the last plan.
+        usual: scaled controls to start from otherwise, such as the rest of the last
+            plan.
         others: trajectories of all others.
 
     Returns:
@@ -143,24 +145,29 @@ def best_start(game: Game, car: Car, last: Controls, others: Trajectories) -> Co
     """
     solver = game.planner.solver
     if not (solver.continues and solver.smooth):
-        return last
+        return usual
     into_lanes = manoeuvres(game, car, game.planner.horizon, RESTART.accelerations)
-    gaps = into_gaps(game, car, Motion(*jnp.moveaxis(others, 1, 0)))
+    fields = jnp.moveaxis(others, 1, 0)  # [fields, others, steps]
+    gaps = into_gaps(game, car, Motion(*fields))
 
-    # All candidates, the last plan first.
-    objective = driving(game, car, others)
+    # All candidates, the usual start first: their controls, and their trajectories.
+    objective = plan_objective(game, car, others)
     controls = jnp.concatenate([into_lanes.controls, gaps.controls])
     states = jnp.concatenate([into_lanes.states, gaps.states])
-    controls = jnp.concatenate([last[None], controls])
-    paths = jnp.stack(observe(states), axis=1)
-    paths = jnp.concatenate([objective.path(last)[None], paths])
+    controls = jnp.concatenate([usual[None], controls])
+    paths = jnp.stack(observe(states), axis=1)  # [candidates, fields, steps]
+    usual_path = objective.path(usual)
+    paths = jnp.concatenate([usual_path[None], paths])
 
-    # The best of them, with an advantage for the last plan.
+    # The best of them, with an advantage for the usual start.
     earned = jnp.asarray(jax.vmap(objective.earned)(controls, paths))
-    return best_of(controls, earned.at[0].add(RESTART.margin))
+    with_advantage = earned.at[0].add(RESTART.margin)
+    return best_of(controls, with_advantage)
 
 
 def within_limits(game: Game, state: State, plan: Plan) -> Plan:
     """Limit all controls of a plan, see `ms_highway.game.game.bounded`."""
-    humans = for_rows(partial(bounded, game), state[1 : 1 + game.number], plan.humans)
-    return Plan(bounded(game, state[0], plan.robot), humans)
+    states_of_humans = state[1 : 1 + game.number]
+    humans = for_rows(partial(bounded, game), states_of_humans, plan.humans)
+    robot = bounded(game, state[0], plan.robot)
+    return Plan(robot, humans)

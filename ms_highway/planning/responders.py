@@ -1,9 +1,9 @@
 """Say which humans respond to the robot's plan, and in how many steps of its ascent.
 
-The joint ascent (`ms_highway.planning.joint`) asks for the same numbers in two cases.
-`KnownResponders` are known before JAX traces a plan, so that its program holds only
-what these humans need. `AssignedResponders` follow from an assignment of models that
-JAX traces, so that one program plans under all assignments.
+The joint ascent (`ms_highway.planning.joint`) has to know who responds, in how many
+steps and with which step size. `KnownResponders` are known before JAX traces a plan, so
+that its program holds only what these humans need. `AssignedResponders` follow from an
+assignment of models that JAX traces, so that one program plans under all assignments.
 """
 
 from collections.abc import Callable
@@ -19,7 +19,7 @@ from ms_highway.numerics.solvers import Ascent, Solver
 from ms_highway.runtime.arrays import Array, Index, PerHuman, Scalar, State
 
 Carry = TypeVar("Carry")
-HumanNumbers: TypeAlias = Int[Array, "humans"]
+HumanIndices: TypeAlias = Int[Array, "humans"]
 
 
 @jax.tree_util.register_dataclass
@@ -28,30 +28,30 @@ class KnownResponders:
     """Humans who respond in every step, known before the call.
 
     Attributes:
-        order: their numbers (static).
+        order: their indices (static).
     """
 
     order: tuple[int, ...] = field(metadata={"static": True})
 
     @property
-    def nobody(self) -> bool:
-        """Whether no human responds."""
+    def surely_nobody(self) -> bool:
+        """Whether it is known before JAX traces the plan that nobody responds."""
         return not self.order
 
     def most_steps(self, solver: Solver) -> Index:
-        """Return the number of steps of the ascent at most."""
-        return solver.most_steps(responds=not self.nobody)
+        """Return the largest number of steps of the ascent."""
+        return solver.most_steps(responds=not self.surely_nobody)
 
     def robot_step_size(self, solver: Ascent) -> Scalar:
-        """Return the length of the robot's gradient steps."""
+        """Return the step size of the robot: length of a step per unit of gradient."""
         return solver.step_size
 
     def step_size(self, solver: Ascent, human: Index) -> Scalar:
-        """Return the length of a human's gradient steps."""
+        """Return the step size of a human, see `robot_step_size`."""
         return solver.step_size
 
-    def count(self, step: Index) -> Index:
-        """Return the number of humans who respond in a step."""
+    def count(self, iteration: Index) -> Index:
+        """Return the number of humans who respond in a step of the ascent."""
         return len(self.order)
 
     def fold(
@@ -60,16 +60,17 @@ class KnownResponders:
         function: Callable[[Index, Carry], Carry],
         carry: Carry,
     ) -> Carry:
-        """Apply a function to the number of every human who responds, one by one.
+        """Apply a function to the index of every human who responds, one by one.
 
         Args:
-            count: number of humans who respond in the step, of `count`.
-            function: takes the number of a human and the result so far.
+            count: how many humans respond in the step, as `count` returns it; here, all
+                humans of the order do.
+            function: takes the index of a human and the result so far.
             carry: first result.
         """
         if not self.order:
             return carry
-        if len(self.order) == 1:  # needs no loop, and its number is static
+        if len(self.order) == 1:  # needs no loop, and its index is static
             return function(self.order[0], carry)
         return _fold(jnp.array(self.order), count, function, carry)
 
@@ -80,21 +81,21 @@ class AssignedResponders:
     """Humans who respond under an assignment of models that JAX traces.
 
     Attributes:
-        order: numbers of all humans, those who respond in most steps first.
-        steps: number of the first steps in which each human responds, by its own
-            number; 0 if it does not respond.
-        robot_steps: number of the robot's steps at most.
-        step_sizes: length of each human's gradient steps, by its own number; None for
-            the planner's.
-        robot_size: length of the robot's; None for the planner's.
+        order: indices of all humans, sorted by their ``steps``, the largest first.
+        steps: human i responds in the first ``steps[i]`` steps of the ascent; 0 if it
+            does not respond.
+        robot_steps: largest number of the robot's steps.
+        step_sizes: step size of each human; None for the planner's.
+        robot_size: step size of the robot; None for the planner's.
+        surely_nobody: False, as this is not known before JAX traces the plan.
     """
 
-    order: HumanNumbers
-    steps: HumanNumbers
+    order: HumanIndices
+    steps: HumanIndices
     robot_steps: Index
     step_sizes: PerHuman | None = None
     robot_size: Scalar | None = None
-    nobody: ClassVar[bool] = False
+    surely_nobody: ClassVar[bool] = False
 
     def most_steps(self, solver: Solver) -> Index:
         """See `KnownResponders.most_steps`."""
@@ -108,9 +109,9 @@ class AssignedResponders:
         """See `KnownResponders.step_size`."""
         return solver.step_size if self.step_sizes is None else self.step_sizes[human]
 
-    def count(self, step: Index) -> Index:
+    def count(self, iteration: Index) -> Index:
         """See `KnownResponders.count`; they are the first ones in the order."""
-        return jnp.sum(self.steps > step)
+        return jnp.sum(self.steps > iteration)
 
     def fold(
         self,
@@ -142,14 +143,15 @@ class Interaction:
 
 
 def _fold(
-    order: HumanNumbers,
+    order: HumanIndices,
     count: Index,
     function: Callable[[Index, Carry], Carry],
     carry: Carry,
 ) -> Carry:
-    """Apply a function to the first ``count`` numbers of an order, one by one."""
+    """Apply a function to the first ``count`` indices of an order, one by one."""
 
-    def respond(place: Index, carry: Carry) -> Carry:
-        return function(order[place], carry)
+    def apply_to_next(place: Index, carry: Carry) -> Carry:
+        human = order[place]
+        return function(human, carry)
 
-    return jax.lax.fori_loop(0, count, respond, carry)
+    return jax.lax.fori_loop(0, count, apply_to_next, carry)

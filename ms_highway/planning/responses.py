@@ -1,4 +1,4 @@
-"""Compute what the robot earns through the response of a human to its plan.
+"""Compute the influence of a human on the robot: what the robot earns through it.
 
 The symbols are those of `ms_highway.planning.joint`.
 """
@@ -22,29 +22,32 @@ def trajectories_around(
     """Return the trajectories of all others from a human's side, the robot's first.
 
     Args:
-        human: its number.
+        human: index of the human.
         robot: trajectory of the robot.
         others: trajectories of all cars around the robot.
     """
     if isinstance(human, int):
         rest = jnp.delete(others, human, axis=0)
     else:
-        rest = others[jnp.asarray(others_of(len(others)))[human]]
+        indices = jnp.asarray(others_of(len(others)))  # [cars, cars - 1]
+        rest = others[indices[human]]
     return jnp.concatenate([robot[None], rest])
 
 
-def slope_change(coupling: HessianBlocks, change: Trajectory) -> Trajectory:
+def slope_change(mixed_hessian: HessianBlocks, change: Trajectory) -> Trajectory:
     """Return how the slope in one trajectory changes if another one moves.
 
+    It is ``einsum("fgt,ft->gt", mixed_hessian, change)``.
+
     Args:
-        coupling: mixed second derivatives at each step, first in the fields of the
+        mixed_hessian: mixed second derivatives at each step, first in the fields of the
             trajectory that moves, then in those of the other one.
         change: of the trajectory that moves.
     """
-    return jnp.sum(coupling * change[:, None], axis=0)
+    return jnp.sum(mixed_hessian * change[:, None], axis=0)
 
 
-def in_controls(
+def pulled_back(
     slope: Trajectory,
     jacobian: Float[jax.Array, "fields steps n"],
 ) -> Float[jax.Array, "n"]:
@@ -54,29 +57,33 @@ def in_controls(
         slope: in a trajectory.
         jacobian: S, of this trajectory in the controls.
     """
-    return slope.ravel() @ jacobian.reshape(slope.size, -1)
+    flat = slope.ravel()  # [fields * steps]
+    rows = jacobian.reshape(slope.size, -1)  # [fields * steps, n]
+    return flat @ rows
 
 
-def slope_through(
+def influence_of(
     jacobian: Float[jax.Array, "fields steps n"],
-    answer: Vector,
-    coupling: HessianBlocks,
+    adjoint: Vector,
+    mixed_hessian: HessianBlocks,
 ) -> Trajectory:
-    """Return the slope of R_R in s_R through a human: ``B_i^T S_i (-H_i^-1 g_i)``.
+    """Return the slope of R_R in s_R through a human: ``B_i^T S_i adjoint``.
 
     Args:
         jacobian: S_i of the human.
-        answer: ``-H_i^-1 g_i``, the human's response to the robot's wish.
-        coupling: B_i.
+        adjoint: ``-H_i^-1 g_i`` or, in Newton steps, ``C_i^-1 g_i``.
+        mixed_hessian: B_i.
     """
-    return slope_change(coupling, jacobian @ answer)
+    path_change = jacobian @ adjoint
+    return slope_change(mixed_hessian, path_change)
 
 
-def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> HessianBlocks:
+def mixed_hessian(game: Game, own: Trajectory, others: Trajectories) -> HessianBlocks:
     """Return B_i, the mixed second derivatives of a human's reward.
 
-    The package's features are sums over the other cars, so that all but the robot are
-    left out; user-defined features need not be such sums.
+    The package's features are sums over the other cars. A mixed derivative in human and
+    robot holds only the robot's term, so that all others are left out to save time.
+    User-defined features need not be such sums.
 
     Args:
         game: from the human's side.
@@ -87,8 +94,10 @@ def mixed_bends(game: Game, own: Trajectory, others: Trajectories) -> HessianBlo
         At each step, derivatives in the human's fields, then in the robot's.
     """
     if not game.robot.user_features:
+        # From the human's side, car 1 is the robot; no other leader is left.
         leader = 1 if game.scene.leader == 1 else None
-        scene = replace(game.scene, obstacles=game.scene.obstacles[:0], leader=leader)
+        no_obstacles = game.scene.obstacles[:0]
+        scene = replace(game.scene, obstacles=no_obstacles, leader=leader)
         game = replace(game, scene=scene)
         others = others[:1]
     return game.payoff.second_order(own, others).mixed_hessian

@@ -1,13 +1,18 @@
-"""Keep a way out: execute a control only if it leaves as good an escape as now.
+"""Keep a way out: replace a control after which an escape would be worse than now.
 
-Theory of mind counts on humans who respond; it hits a human who does not. A way out is
-a simple manoeuvre that the robot can drive after a control: brake, or speed up, in this
-lane or another. It is free if it collides with nothing while all others keep their
-velocity. This is passive safety against such cars, as in contingency planning.
+A plan under theory of mind relies on humans who respond, and may hit one who does not.
+So each control is checked before it is executed: this is a safety filter with fallback
+manoeuvres over a finite horizon, as in fail-safe and contingency planning.
 
-`keep_way_out` compares two sets of ways over the same time. *Kept ways* begin with the
-planned control and go on with a manoeuvre. *Escapes* are manoeuvres from now on. If an
-escape stays free for longer than every kept way, the best escape replaces the control.
+* A *fallback manoeuvre* holds an acceleration and steers to the middle of a lane.
+* A *way* is the motion of the robot for 3 s. *Ways after the control* begin with the
+  planned control and go on with a manoeuvre; *escapes* are manoeuvres from now on.
+* Meanwhile, all others keep their velocity, but stay on the road. Other cars count for
+  2.5 s, obstacles for 3 s.
+
+`keep_way_out` ranks ways by how long they stay free of collisions; of those that never
+collide, the ones with a clearance to everything rank highest. If an escape ranks higher
+than every way after the control, the best escape replaces the control.
 """
 
 from dataclasses import dataclass
@@ -32,13 +37,13 @@ Ways = Float[jax.Array, "ways steps 4"]
 
 @dataclass(frozen=True)
 class EscapeSettings:
-    """Set how far and how hard ways out drive, and how free they have to be."""
+    """Set how far and how hard ways drive, and how free they have to be."""
 
     steps: int = 30
-    """Steps of a way out: 3 s at 0.1 s, a full stop from 24 m/s, as robots drive faster
-    than the limit.
+    """Steps of a way. At 0.1 s, these are 3 s, in which 8 m/s^2 stop a robot from 24
+    m/s; robots may drive faster than the limit of 20 m/s.
     """
-    steps_among_cars: int = 25
+    steps_with_cars: int = 25
     """Steps in which other cars count: they do not keep their velocity for long."""
     accelerations: tuple[float, ...] = (
         -CAR_LIMITS.braking,
@@ -48,7 +53,9 @@ class EscapeSettings:
     )
     """Accelerations of the manoeuvres, each into each lane [m/s^2]."""
     clearance: float = 0.15
-    """Gap between bodies of a clear way [m]: others do not keep their velocity exactly.
+    """Gap between bodies on ways of the highest rank [m]: others do not keep their
+    velocity exactly. Each of two bodies is made longer and wider by half of it on every
+    side.
     """
 
 
@@ -56,12 +63,11 @@ ESCAPE = EscapeSettings()
 
 
 class Escape(NamedTuple):
-    """Controls to execute, an escape or the planned control.
+    """The best escape, and whether it replaces the planned control.
 
     Attributes:
-        controls: scaled, over the planner's horizon. If ``replaces``, those of the best
-            escape, the last one repeated beyond its steps; otherwise the planned
-            control, repeated.
+        controls: scaled, over the planner's horizon. They mean nothing unless the
+            escape ``replaces`` the planned control.
         replaces: whether the escape replaces the planned control.
     """
 
@@ -70,15 +76,14 @@ class Escape(NamedTuple):
 
 
 def keep_way_out(game: Game, state: State, control: Control) -> Escape:
-    """Return the best escape if it beats every way out after the control.
+    """Return the best escape; it replaces a control if it outranks all ways after it.
 
-    Otherwise return the control: it stays if a way out after it is as good as the
-    escapes.
+    Ways rank by the time of their first collision. Of ways that never collide, those
+    that keep the clearance to cars and obstacles rank highest. Of escapes of the same
+    rank, the one with the highest reward is the best.
 
-    The best escape is the manoeuvre that collides latest. Among manoeuvres that never
-    collide, those that keep the clearance to cars and obstacles are better; among
-    equals, the one that earns most is. Escapes are only searched for where no way out
-    after the control keeps the clearance; under `jax.vmap`, they always are.
+    Escapes are searched for only where no way after the control has the highest rank;
+    under `jax.vmap`, they are always computed, with the same result.
 
     Args:
         game: of the robot.
@@ -86,70 +91,92 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         control: scaled, about to be executed.
     """
     others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE.steps))
-    counted = _among_cars(others, state[0])
+    others_in_time = _only_first_steps(others, state[0])
 
-    # How long the best way out after the control stays free.
-    after = step(game.dynamics, state[0], control * game.planner.control_scale)
-    freest_kept = _free_steps(game, _kept_ways(game, after), counted).max()
+    # The best rank of a way after the control.
+    unscaled = control * game.planner.control_scale
+    after = step(game.dynamics, state[0], unscaled)
+    ways_after = _ways_after(game, after)
+    rank_after = _ranks(game, ways_after, others_in_time).max()
 
     def search() -> Escape:
-        controls, ways = manoeuvres(game, state[0], ESCAPE.steps, ESCAPE.accelerations)
-        free = _free_steps(game, ways, counted)
-        earned = jax.vmap(lambda way: _earned(game, way, others))(ways)
-        best = jnp.argmax(jnp.where(free == free.max(), earned, -jnp.inf))
+        controls, escapes = manoeuvres(
+            game, state[0], ESCAPE.steps, ESCAPE.accelerations
+        )
+        ranks = _ranks(game, escapes, others_in_time)
 
-        # A horizon that is longer than the escape repeats its last control.
-        steps = np.minimum(np.arange(game.planner.horizon), ESCAPE.steps - 1)
-        return Escape(controls[best][steps], free.max() > freest_kept)
+        # Rewards only break ties, so that they may count all others until the end.
+        rewards = jax.vmap(lambda way: _total_reward(game, way, others))(escapes)
+        is_highest = ranks == ranks.max()
+        best = jnp.argmax(jnp.where(is_highest, rewards, -jnp.inf))
 
-    unchanged = Escape(
-        jnp.tile(control, (game.planner.horizon, 1)), jnp.zeros((), bool)
-    )
-    is_clear = freest_kept > ESCAPE.steps  # no escape can be better
-    return jax.lax.cond(is_clear, lambda: unchanged, search)
+        # Cut the escape to the planner's horizon, or repeat its last control.
+        steps = np.arange(game.planner.horizon)
+        steps = np.minimum(steps, ESCAPE.steps - 1)
+        return Escape(controls[best][steps], ranks.max() > rank_after)
+
+    placeholder = jnp.tile(control, (game.planner.horizon, 1))
+    unchanged = Escape(placeholder, jnp.zeros((), bool))
+
+    # ESCAPE.steps + 1 is the highest rank: no escape can be better.
+    is_highest = rank_after > ESCAPE.steps
+    return jax.lax.cond(is_highest, lambda: unchanged, search)
 
 
 def _within_road(game: Game, others: Motion) -> Motion:
-    """Stop motion off the road at its edge.
+    """Keep the lateral positions of others on the road, as drivers do not leave it.
 
-    A car that is beyond the edge after the first step stops there.
+    A car that is beyond the edge after the first step goes no farther out.
     """
     scene = game.scene
     lanes = jnp.asarray(scene.lanes)
-    room = (scene.lane_width - jnp.asarray(scene.car_size)[1]) / 2
+    car_width = jnp.asarray(scene.car_size)[1]
+    room = (scene.lane_width - car_width) / 2  # beside a car in its lane
     first = others.y[..., :1]
     low = jnp.minimum(lanes.min() - room, first)
     high = jnp.maximum(lanes.max() + room, first)
-    return others._replace(y=jnp.clip(others.y, low, high))
+    y = jnp.clip(others.y, low, high)
+    return others._replace(y=y)
 
 
-def _among_cars(others: Motion, robot: Car) -> Motion:
-    """Put others far behind the robot in the last steps, where they do not count."""
-    counts = np.arange(ESCAPE.steps) < ESCAPE.steps_among_cars
-    return others._replace(x=jnp.where(counts, others.x, robot[0] - FAR_AWAY))
+def _only_first_steps(others: Motion, robot: Car) -> Motion:
+    """Let others count in the first steps only.
+
+    After them, they are so far behind the robot that it cannot collide with them.
+    """
+    is_early = np.arange(ESCAPE.steps) < ESCAPE.steps_with_cars
+    x = jnp.where(is_early, others.x, robot[0] - FAR_AWAY)
+    return others._replace(x=x)
 
 
-def _earned(game: Game, way: Float[jax.Array, "steps 4"], others: Motion) -> Scalar:
-    """Return what the robot earns on a way, by the features of its motion."""
-    return jnp.sum(motion_reward(game.scene, game.robot, observe(way), others))
+def _total_reward(
+    game: Game,
+    way: Float[jax.Array, "steps 4"],
+    others: Motion,
+) -> Scalar:
+    """Return the robot's reward on a way, without that of its controls."""
+    own = observe(way)
+    rewards = motion_reward(game.scene, game.robot, own, others)
+    return jnp.sum(rewards)
 
 
-def _kept_ways(game: Game, after: Car) -> Ways:
-    """Return the ways that begin with the robot's control and end with a manoeuvre.
+def _ways_after(game: Game, after: Car) -> Ways:
+    """Return the ways that begin with the robot's control and go on with a manoeuvre.
 
     Args:
         game: of the robot.
         after: state of the robot after its control, the first step of these ways.
     """
-    _, later = manoeuvres(game, after, ESCAPE.steps, ESCAPE.accelerations)
-    first = jnp.broadcast_to(after, later[:, :1].shape)
-    return jnp.concatenate([first, later[:, :-1]], axis=1)
+    _, ways_from_there = manoeuvres(game, after, ESCAPE.steps, ESCAPE.accelerations)
+    first = jnp.broadcast_to(after, ways_from_there[:, :1].shape)
+    later = ways_from_there[:, :-1]
+    return jnp.concatenate([first, later], axis=1)
 
 
-def _free_steps(game: Game, ways: Ways, others: Motion) -> Int[jax.Array, "ways"]:
-    """Return for how many steps each way collides with nothing.
+def _ranks(game: Game, ways: Ways, others: Motion) -> Int[jax.Array, "ways"]:
+    """Rank ways by their number of steps before the first collision.
 
-    A way that keeps the clearance to everything counts one step more.
+    A way that keeps the clearance to everything in all steps ranks one higher.
 
     Args:
         game: of the robot.
@@ -157,11 +184,11 @@ def _free_steps(game: Game, ways: Ways, others: Motion) -> Int[jax.Array, "ways"
         others: motion of all others, arrays [others, steps].
     """
 
-    def count(way: Float[jax.Array, "steps 4"]) -> jax.Array:
+    def rank(way: Float[jax.Array, "steps 4"]) -> jax.Array:
         own = observe(way)
         is_free = ~touches(game.scene, own, others)
         is_clear = ~touches(game.scene, own, others, ESCAPE.clearance)
-        until_collision = jnp.cumprod(is_free)
-        return jnp.sum(until_collision) + is_clear.all()
+        is_before_collision = jnp.cumprod(is_free)
+        return jnp.sum(is_before_collision) + is_clear.all()
 
-    return jax.vmap(count)(ways)
+    return jax.vmap(rank)(ways)

@@ -12,7 +12,7 @@ from ms_highway.choice.quadratic import Switching, WholeHorizon, expand
 from ms_highway.choice.rule import NOT_ESTIMATED, Outcome, decide, first_memory
 from ms_highway.game.game import swap_players, total_reward
 from ms_highway.game.scenario import PAPER_UNIT
-from ms_highway.numerics.second_derivatives import response
+from ms_highway.numerics.second_derivatives import minus_inverse_times
 from ms_highway.planning.plans import Plan
 from ms_highway.runtime.compilation import jit_quickly
 
@@ -111,7 +111,7 @@ def test_the_expansion_has_the_derivatives_of_both_rewards(played):
         return (
             slopes[0],
             bends[0],
-            response(game.influence, human_bend, bends[1, 10:, :10]),
+            minus_inverse_times(game.influence, human_bend, bends[1, 10:, :10]),
         )
 
     slopes, bends, influence = map(np.asarray, derivatives(PLAN.ravel()))

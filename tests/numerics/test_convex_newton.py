@@ -7,9 +7,9 @@ from jax import numpy as jnp
 
 from ms_highway.numerics.convex_newton import (
     NEWTON_STEPS,
+    best_share,
     expand,
     improve,
-    share,
     until_still,
 )
 from ms_highway.numerics.objective import Objective
@@ -107,7 +107,7 @@ def test_the_share_of_a_step_is_that_of_a_parabola():
     after = np.float32([0.5, -1, -1e6, np.nan, -1, 1])
     least = NEWTON_STEPS.min_share
     expected = [1, 0.5, least, least, least, np.nan]
-    np.testing.assert_allclose(share(slope, after), expected, atol=1e-4)
+    np.testing.assert_allclose(best_share(slope, after), expected, atol=1e-4)
 
 
 def test_steps_are_repeated_until_one_more_hardly_matters():
@@ -121,7 +121,7 @@ def test_steps_are_repeated_until_one_more_hardly_matters():
     ends, steps, converged = map(np.asarray, jax.jit(jax.vmap(rest))(starts))
     assert ends[0] == starts[0]  # not worth a step
     assert ends.max() < 2 * tolerance / 0.7
-    assert abs(np.diff(ends)).max() < 2 * NEWTON_STEPS.last_part * tolerance
+    assert abs(np.diff(ends)).max() < 2 * NEWTON_STEPS.fade_end * tolerance
     assert converged.all()
     assert steps[0] == 1
     assert np.all(np.diff(steps) >= 0)

@@ -4,14 +4,14 @@ import jax
 import numpy as np
 import pytest
 
-from ms_highway.numerics.second_derivatives import floored, response
+from ms_highway.numerics.second_derivatives import floored, minus_inverse_times
 
 
 def test_the_exact_response_is_exact_and_the_damped_one_ascends():
     random = np.random.default_rng(0)
     responses = jax.jit(
         lambda matrix, push: [
-            response(kind, matrix, push) for kind in ("exact", "damped")
+            minus_inverse_times(kind, matrix, push) for kind in ("exact", "damped")
         ]
     )
     for _ in range(20):

@@ -16,7 +16,7 @@ from ms_highway.planning.compiled_plans import (
 )
 from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
-from ms_highway.planning.responses import mixed_bends, trajectories_around
+from ms_highway.planning.responses import mixed_hessian, trajectories_around
 from ms_highway.runtime.compilation import jit_quickly
 
 LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0))
@@ -79,10 +79,10 @@ def test_mixed_second_derivatives_do_not_need_the_other_cars(three):
         own = swap_roles(game, human)
         around = trajectories_around(human, robot, humans)
         with_others = own.payoff.second_order(humans[human], around).mixed_hessian
-        return with_others, mixed_bends(own, humans[human], around)
+        return with_others, mixed_hessian(own, humans[human], around)
 
-    wanted, bends = with_and_without(np.arange(3))
-    np.testing.assert_allclose(bends, wanted, rtol=1e-3, atol=1e-4)
+    wanted, found = with_and_without(np.arange(3))
+    np.testing.assert_allclose(found, wanted, rtol=1e-3, atol=1e-4)
     assert np.abs(wanted).max() > 0.1
 
 
