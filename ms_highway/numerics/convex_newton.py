@@ -159,8 +159,8 @@ def best_share(slope_at_start: Scalar, slope_at_end: Scalar) -> jax.Array:
 
     With the slopes g at the start and g' at the end, it is ``g / (g - g')``, at least
     `NewtonSteps.min_share` and at most 1. It is 1 where the reward still rises at the
-    end, the least share where g is negative or g' is not finite, and NaN where g is not
-    finite, so that the plan fails and says so.
+    end, and the least share where it falls at both ends, or where g' is not finite. It
+    is NaN where g is not finite, so that the plan fails and says so.
 
     Args:
         slope_at_start: derivative of the reward along the whole step, at its start.
@@ -176,7 +176,7 @@ def best_share(slope_at_start: Scalar, slope_at_end: Scalar) -> jax.Array:
 
 
 def improve(objective: Objective, controls: Controls, model: LocalModel) -> Controls:
-    """Return controls after a step, projected on the limits.
+    """Return controls after a step, within the limits.
 
     At least `NewtonSteps.min_share` of a step is taken. So the objective may decrease
     in one step, for example where even this share leads into a collision.
