@@ -61,8 +61,8 @@ class Game:
         dynamics: assumed by plans.
         world: dynamics of the real cars, from which executed controls are recovered.
         planner: horizon, solver and limits of all plans.
-        influence: form of the humans' response to the robot, see
-            `ms_highway.numerics.second_derivatives.response` (static).
+        influence: form of the humans' response to the robot under gradient steps, see
+            `ms_highway.numerics.second_derivatives.minus_inverse_times` (static).
     """
 
     scene: Scene
