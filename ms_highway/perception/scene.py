@@ -27,7 +27,9 @@ class SceneShape:
     route_knots: int = 96
     """Number of knots of the robot's route: 20 m behind to 170 m ahead."""
     lanes: int = 3
-    """Number of lanes that the robot can choose: its own, and those beside it."""
+    """Number of lanes that the robot can choose: left, own and right, in this order."""
+    own_lane: int = 1
+    """Index of the robot's present lane among these lanes."""
     paths: int = 20
     """Number of paths of others."""
     path_knots: int = 64
@@ -38,12 +40,16 @@ SHAPE = SceneShape()
 
 Steps = Float[Array, "*shape steps"]
 States = Float[Array, "*plans steps 4"]
-PlanLanes = Int[Array, "*plans"]
-Plans = Float[Array, "*plans"]
+
+PerPlan = Float[Array, "*plans"]
 PlanFlags = Bool[Array, "*plans"]
-EachCar = Float[Array, "*plans traffic"]
-EachFlag = Bool[Array, "*plans traffic"]
-EachStep = Float[Array, "*plans traffic steps"]
+PlanLanes = Int[Array, "*plans"]
+"""Index of a lane for each plan, see `SceneShape.own_lane`."""
+
+# The axis "traffic" counts paths. A car that may go several ways has several of them.
+PerPath = Float[Array, "*plans traffic"]
+FlagPerPath = Bool[Array, "*plans traffic"]
+PerPathAndStep = Float[Array, "*plans traffic steps"]
 
 World = Float[Array, "... 4 steps"]
 """x, y, heading and speed of cars after each step, in world coordinates."""

@@ -127,7 +127,7 @@ class RoadDriver:
     in this step, it follows the last plan or, without one, brakes.
 
     Attributes:
-        planning: limits and wishes; may be replaced between steps.
+        planning: limits, and the desired speed; may be replaced between steps.
         rule: chooses the models.
         weights: of the score.
         budget: largest time of a decision and a plan together [s].

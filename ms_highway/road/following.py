@@ -11,8 +11,8 @@ from jax import numpy as jnp
 
 from ms_highway.game.car_following import FREE_GAP, HIGHWAY_ENV_IDM, TRAFFIC_LIMITS
 from ms_highway.perception.scene import (
-    EachStep,
     Flags,
+    PerPathAndStep,
     Places,
     RoadScene,
     Steps,
@@ -54,11 +54,11 @@ class TrafficMotion(NamedTuple):
         cosine: of the angle between their paths and the route.
     """
 
-    along: EachStep
-    s: EachStep
-    d: EachStep
-    speed: EachStep
-    cosine: EachStep
+    along: PerPathAndStep
+    s: PerPathAndStep
+    d: PerPathAndStep
+    speed: PerPathAndStep
+    cosine: PerPathAndStep
 
     @property
     def forward_speed(self) -> Numbers:
@@ -83,9 +83,9 @@ class Behaviour(NamedTuple):
     """
 
     follows: Flags
-    accelerations: EachStep
-    residual: EachStep
-    limit: EachStep
+    accelerations: PerPathAndStep
+    residual: PerPathAndStep
+    limit: PerPathAndStep
 
 
 def behaviour_of(situation: Situation, models: Places, plans: int) -> Behaviour:
@@ -126,7 +126,7 @@ def positions_and_speeds(scene: RoadScene) -> tuple[Traffic, Traffic]:
     return s, speed * jnp.where(scene.moving, 1.0, jnp.cos(heading))
 
 
-def lateral_positions(scene: RoadScene, times: Steps) -> EachStep:
+def lateral_positions(scene: RoadScene, times: Steps) -> PerPathAndStep:
     """Return the lateral positions of others on their paths [traffic, steps].
 
     A car that drives returns to the middle of its path like a critically damped spring,
@@ -187,7 +187,7 @@ def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traf
 
     # The gap to the robot, where it drives ahead in the same lane.
     distance = s + scene.size[0] / 2 - traffic.s
-    in_lane = jnp.abs(traffic.d - d) < scene.contact[:, 1] + PASSING_GAP
+    in_lane = jnp.abs(traffic.d - d) < situation.contact[:, 1] + PASSING_GAP
     follows_robot = (distance > 0) & in_lane & (traffic.cosine > COSINES.follows)
     gap_to_robot = jnp.where(follows_robot, distance, FREE_GAP)
     behind_robot = HIGHWAY_ENV_IDM.acceleration(

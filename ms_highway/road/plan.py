@@ -13,7 +13,13 @@ import jax
 import numpy as np
 from jax import numpy as jnp
 
-from ms_highway.perception.scene import EachStep, Flags, Places, RoadScene, Traffic
+from ms_highway.perception.scene import (
+    Flags,
+    PerPathAndStep,
+    Places,
+    RoadScene,
+    Traffic,
+)
 from ms_highway.road.best_responses import RESPONSES, commuter_among
 from ms_highway.road.following import Behaviour, behaviour_of
 from ms_highway.road.proposals import PROFILES, LastPlan, Profiles, proposals
@@ -110,7 +116,7 @@ def propose_road(
 
     Args:
         scene: the road.
-        planning: limits and wishes.
+        planning: limits, and the desired speed.
         weights: of the score.
         models: number of the model of each of the others: under naive they keep their
             speed, otherwise they follow.
@@ -177,7 +183,8 @@ def _best(followed: ScoredPlans, responded: ScoredPlans) -> RoadPlan:
         responded: the same plans among others that respond.
     """
     relies_on_response = followed.scores.collides & ~responded.scores.broken
-    preference = responded.scores.preference - CONSTRAINTS.unsound * relies_on_response
+    cost_of_relying = CONSTRAINTS.infeasible * relies_on_response
+    preference = responded.scores.preference - cost_of_relying
     best = jnp.argmax(preference)
     number, plan, simulated, scores = jax.tree.map(lambda field: field[best], responded)
     return RoadPlan(
@@ -194,7 +201,7 @@ def _best_responses(
     situation: Situation,
     optimises: Flags,
     simulated: SimulatedPlans,
-) -> EachStep:
+) -> PerPathAndStep:
     """Return the accelerations of others that optimise their reward.
 
     There is one response to each plan; the accelerations of the rest are 0.

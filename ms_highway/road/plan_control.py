@@ -11,7 +11,7 @@ from jax import numpy as jnp
 
 from ms_highway.game.car_following import FREE_GAP, ROBOT_IDM
 from ms_highway.geometry.curve import SPACING, interpolate
-from ms_highway.perception.scene import Traffic
+from ms_highway.perception.scene import SHAPE, Traffic
 from ms_highway.road.following import TrafficMotion
 from ms_highway.road.proposals import Profiles
 from ms_highway.road.traffic import CROSSING, OBSTACLES, PASSING_GAP, Situation, lowest
@@ -157,8 +157,8 @@ def _lateral_goal(
     """
     scene = situation.scene
     s, d, _, speed = car
-    contact_length = scene.contact[:, 0]
-    lateral_gap = scene.contact[:, 1] + PASSING_GAP
+    contact_length = situation.contact[:, 0]
+    lateral_gap = situation.contact[:, 1] + PASSING_GAP
 
     # The gap that the plan needs to cars in its target lane.
     overtakes = ~plan.follows & (distance > 0)
@@ -173,7 +173,7 @@ def _lateral_goal(
     )
     is_blocked = (in_target_lane & (jnp.abs(distance) < needed)).any()
     is_opposed = (situation.crossings.oncoming & (traffic.s > s)).any()
-    present_lane = interpolate(scene.lanes[1], s)
+    present_lane = interpolate(scene.lanes[SHAPE.own_lane], s)
     return jnp.where(is_blocked & is_opposed, present_lane, target)
 
 
@@ -258,13 +258,14 @@ def _behind_others(
 
     # Cars ahead between the robot and its target. A plan that passes an obstacle
     # ignores obstacles; other plans leave room before them to turn round them.
-    lateral_gap = scene.contact[:, 1] + PASSING_GAP
+    lateral_gap = situation.contact[:, 1] + PASSING_GAP
     leftmost = jnp.minimum(d, target) - lateral_gap
     rightmost = jnp.maximum(d, target) + lateral_gap
     in_way = (traffic.d > leftmost) & (traffic.d < rightmost)
     in_way = in_way & (scene.moving | (plan.side == 0))
-    turning_room = OBSTACLES.turning_room * (~scene.moving & (plan.lane == 1))
-    contact = scene.contact[:, 0] + turning_room
+    turns_before = ~scene.moving & (plan.lane == SHAPE.own_lane)
+    turning_room = OBSTACLES.turning_room * turns_before
+    contact = situation.contact[:, 0] + turning_room
     counts = (distance > 0) & in_way & scene.present
     gap = jnp.where(counts, distance - contact, FREE_GAP)
 

@@ -7,7 +7,7 @@ import numpy as np
 from jax import numpy as jnp
 
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import SHAPE, PlanFlags, PlanLanes, Plans
+from ms_highway.perception.scene import SHAPE, PerPlan, PlanFlags, PlanLanes
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import Controls, Index, ManyControls, Vector
 
@@ -16,7 +16,7 @@ class Profile(NamedTuple):
     """A rule by which a plan drives.
 
     Attributes:
-        lane: target lane, 0 to 2.
+        lane: target lane, see `SceneShape.own_lane`.
         speed_share: share of the desired speed, where the plan follows the traffic.
         acceleration: where the plan does not follow the traffic [m/s^2].
         follows: whether the plan follows the traffic.
@@ -28,7 +28,7 @@ class Profile(NamedTuple):
         is_given: whether the controls are given, as the rest of the last plan.
     """
 
-    lane: int = 1
+    lane: int = SHAPE.own_lane
     speed_share: float = 1.0
     acceleration: float = 0.0
     follows: bool = True
@@ -46,11 +46,11 @@ class Profiles(NamedTuple):
     """
 
     lane: PlanLanes
-    speed_share: Plans
-    acceleration: Plans
+    speed_share: PerPlan
+    acceleration: PerPlan
     follows: PlanFlags
     closes_up: PlanFlags
-    yield_time: Plans
+    yield_time: PerPlan
     side: PlanLanes
     is_given: PlanFlags
     controls: ManyControls
@@ -138,13 +138,13 @@ def proposals(situation: Situation, last: LastPlan) -> Profiles:
     x, y = last.goal
     s, d, _ = scene.route.project(x, y, jnp.zeros(()))
     nearest = jnp.argmin(jnp.abs(interpolate(scene.lanes, s) - d))
-    last_lane = jnp.where(jnp.isfinite(d), nearest, 1)
+    last_lane = jnp.where(jnp.isfinite(d), nearest, SHAPE.own_lane)
 
     # The fields of all profiles; the last plan has the controls.
     controls = jnp.broadcast_to(last.controls, (len(PROFILES), *last.controls.shape))
     fields = [*map(jnp.asarray, zip(*PROFILES, strict=True)), controls]
     profiles = Profiles._make(fields)
-    target_lane = jnp.where(side == 0, last_lane, 1)
+    target_lane = jnp.where(side == 0, last_lane, SHAPE.own_lane)
     return profiles._replace(
         lane=jnp.where(profiles.is_given, target_lane, profiles.lane),
         side=jnp.where(profiles.is_given, side, profiles.side),

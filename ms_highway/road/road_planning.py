@@ -1,4 +1,4 @@
-"""Record the limits and wishes of a robot that plans on a road."""
+"""Record the parameters of a robot that plans on a road."""
 
 from dataclasses import dataclass, field
 from typing import ClassVar
@@ -13,7 +13,7 @@ from ms_highway.runtime.arrays import Scalar
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class RoadPlanning:
-    """Limit what a robot plans on a road, and say what it wishes.
+    """Set the limits and the desired speed of plans on a road.
 
     Fields may change without compiling anew, except `steps`; the rest is constant.
     """
@@ -40,7 +40,7 @@ class RoadPlanning:
     bend_braking: ClassVar[float] = 2.5
     """Gentle deceleration before bends [m/s^2]."""
     lane_width: ClassVar[float] = 4.0
-    """Width of lanes where the scene does not say it, highway-env's [m]."""
+    """Width of all lanes in terminal values: that of highway-env's lanes [m]."""
 
     @property
     def lag(self) -> Scalar:

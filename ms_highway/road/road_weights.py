@@ -20,7 +20,9 @@ class RoadWeights:
     speed: Scalar = 1.0
     """Weight of the share of the desired speed that the robot reaches."""
     terminal: Scalar = 6.0
-    """Weight of the share of it that the robot loses after the plan [per plan]."""
+    """Weight of the cost-to-go per second, as a share of the desired speed [per plan].
+    See `ms_highway.road.cost_to_go`.
+    """
     centre: Scalar = 0.005
     """Weight of the squared distance to the centre of the lane [1/m^2]."""
     change: Scalar = 0.1
@@ -28,9 +30,7 @@ class RoadWeights:
     right: Scalar = 0.1
     """Value of each lane further to the right [per plan]."""
     goal: Scalar = 6.0
-    """Cost of each lane change that the goal still asks for, where the room for it is
-    short [per plan].
-    """
+    """Cost of each remaining mandatory lane change at full urgency [per plan]."""
     acceleration: Scalar = 0.01
     """Weight of squared acceleration [s^4/m^2]."""
     jerk: Scalar = 0.002
@@ -50,6 +50,5 @@ class RoadWeights:
     off_road: Scalar = 200.0
     """Cost of leaving the road, or of a lane that is closed [per plan]."""
     stopping: Scalar = 1.0
-    """Cost of each metre that the robot lacks to stop behind the car ahead [1/m, per
-    plan].
+    """Cost of each metre by which the gap to a car ahead is too short [1/m, per plan].
     """

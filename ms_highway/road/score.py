@@ -1,4 +1,7 @@
-"""Score proposals: compute what they earn, and which constraints they break."""
+"""Score proposals: compute what they earn, and which constraints they break.
+
+Costs of others are sums over paths: a car with several paths counts several times.
+"""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -10,12 +13,14 @@ from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.bodies import separation
 from ms_highway.geometry.curve import Pose, interpolate, rotated
 from ms_highway.perception.scene import (
-    EachCar,
-    EachFlag,
-    EachStep,
+    SHAPE,
+    FlagPerPath,
+    PerPath,
+    PerPathAndStep,
+    PerPlan,
     PlanFlags,
     PlanLanes,
-    Plans,
+    Steps,
     World,
 )
 from ms_highway.road.proposals import Profiles
@@ -36,9 +41,9 @@ from ms_highway.runtime.arrays import Array, Numbers
 
 @dataclass(frozen=True)
 class ConstraintSettings:
-    """Set what breaks a constraint, and how much worse such plans rank."""
+    """Set which plans are infeasible, and how much worse they rank."""
 
-    unsound: float = 1e3
+    infeasible: float = 1e3
     """Cost of a broken constraint; it exceeds whatever else plans earn or cost."""
     off_road_impact: float = 10.0
     """Speed of an impact that is as bad as leaving the road [m/s]."""
@@ -122,43 +127,44 @@ class Scores(NamedTuple):
     """Scores of plans.
 
     Attributes:
-        own: reward without others.
-        others: cost of each of the others.
+        own_value: reward without others.
+        costs_by_path: cost that each path of another car causes.
         responsive: the part of this cost that may change if a car responds to the
-            robot. It excludes cars ahead in the robot's lane, and costs after the plan.
+            robot. It excludes cars ahead in the robot's lane, and terminal costs. The
+            choice of models uses it, see `ms_highway.road.plan.propose_road`.
         intrusion: depth of the plan in the margin around others [m]; at most that
             margin if it hits nobody.
         impact: highest relative speed at an unavoidable collision [m/s]; 0 without one.
         leaves: whether the plan leaves the road.
-        missing: distance that the robot lacks to stop behind the car ahead, after the
-            plan [m].
+        gap_shortfall: largest shortfall of a gap to a car ahead, after the plan or
+            within it [m].
     """
 
-    own: Plans
-    others: EachCar
-    responsive: EachCar
-    intrusion: Plans
-    impact: Plans
+    own_value: PerPlan
+    costs_by_path: PerPath
+    responsive: PerPath
+    intrusion: PerPlan
+    impact: PerPlan
     leaves: PlanFlags
-    missing: Plans
+    gap_shortfall: PerPlan
 
     @property
-    def total(self) -> Plans:
+    def total(self) -> PerPlan:
         """Score of each plan, without its broken constraints."""
-        return self.own - self.others.sum(axis=-1)
+        return self.own_value - self.costs_by_path.sum(axis=-1)
 
     @property
-    def preference(self) -> Plans:
+    def preference(self) -> PerPlan:
         """Order of the plans, the best one highest.
 
-        Sound ones come first, then those that hit nobody, then those with the softest
-        impact.
+        Feasible ones come first, then those that hit nobody, then those with the
+        softest impact.
         """
         faults = jnp.where(
             self.impact > 0, 2 + self.impact, self.broken + self.intrusion
         )
         off_road = CONSTRAINTS.off_road_impact * self.leaves
-        return self.total - CONSTRAINTS.unsound * (faults + off_road)
+        return self.total - CONSTRAINTS.infeasible * (faults + off_road)
 
     @property
     def collides(self) -> PlanFlags:
@@ -168,7 +174,7 @@ class Scores(NamedTuple):
     @property
     def broken(self) -> PlanFlags:
         """Whether a plan breaks a constraint."""
-        return self.collides | self.leaves | (self.missing > 0)
+        return self.collides | self.leaves | (self.gap_shortfall > 0)
 
 
 def score(situation: Situation, simulated: SimulatedPlans, plans: Profiles) -> Scores:
@@ -191,28 +197,30 @@ def score(situation: Situation, simulated: SimulatedPlans, plans: Profiles) -> S
         - _discomfort(situation, simulated)
     )
 
-    # Closed are other lanes that end, and the way round an obstacle where there is
-    # none.
+    # Plans are infeasible that go to another lane which ends, or pass an obstacle that
+    # does not exist.
     ends = lane_of(scene.open.astype(float), lanes, s[:, -1]) < 0.5
-    is_closed = ends & (lanes != 1)
-    is_closed = is_closed | ((plans.side != 0) & ~situation.obstruction.exists)
+    is_closed = ends & (lanes != SHAPE.own_lane)
+    passes_nothing = (plans.side != 0) & ~situation.obstruction.exists
+    is_closed = is_closed | passes_nothing
     leaves = _leaves(situation, simulated)
     off_road = weights.off_road * (leaves.astype(float) + is_closed)
 
     collisions = _collisions(situation, simulated, lanes)
     terminal = terminal_value(situation, simulated, plans)
+    within_plan = planning.time_step * per_second.sum(axis=1) - off_road
     return Scores(
-        own=planning.time_step * per_second.sum(axis=1) - off_road + terminal.own,
-        others=collisions.cost + terminal.others,
+        own_value=within_plan + terminal.own_value,
+        costs_by_path=collisions.cost + terminal.costs_by_path,
         responsive=jnp.where(situation.leading, 0.0, collisions.cost),
         intrusion=collisions.intrusion,
         impact=collisions.impact,
         leaves=leaves | is_closed,
-        missing=terminal.missing_room.max(axis=1),
+        gap_shortfall=terminal.gap_shortfall.max(axis=1),
     )
 
 
-def _discomfort(situation: Situation, simulated: SimulatedPlans) -> EachStep:
+def _discomfort(situation: Situation, simulated: SimulatedPlans) -> Steps:
     """Return the cost of acceleration and jerk after each step [plans, steps].
 
     Lateral acceleration on the road's own bend costs nothing.
@@ -234,9 +242,9 @@ def _discomfort(situation: Situation, simulated: SimulatedPlans) -> EachStep:
 
 
 def _leaves(situation: Situation, simulated: SimulatedPlans) -> PlanFlags:
-    """Return whether plans leave the road farther than in their first step.
+    """Return whether plans leave the road farther than after their first step.
 
-    They cannot change the first step.
+    A plan can hardly change the first step.
     """
     scene = situation.scene
     states = simulated.states
@@ -267,9 +275,9 @@ class Collisions(NamedTuple):
         impact: highest relative speed at an unavoidable collision [m/s].
     """
 
-    cost: EachCar
-    intrusion: Plans
-    impact: Plans
+    cost: PerPath
+    intrusion: PerPlan
+    impact: PerPlan
 
 
 def _collisions(
@@ -346,12 +354,13 @@ def _counts(
     is_beside = jnp.abs(traffic.d - d) >= scene.size[1]
     in_line = steps < _first(is_beside)
     has_moved = jnp.abs(d - scene.robot[1]) >= FOLLOWERS.lane_change_offset
-    keeps_lane = jnp.equal(lanes, 1)[:, None, None] | (steps < _first(has_moved))
+    goes_to_own_lane = jnp.equal(lanes, SHAPE.own_lane)[:, None, None]
+    keeps_lane = goes_to_own_lane | (steps < _first(has_moved))
     follows = is_behind & in_line & (traffic.cosine > COSINES.not_crossing) & keeps_lane
     return scene.present[:, None] & ~follows
 
 
-def _imposed_braking(situation: Situation, simulated: SimulatedPlans) -> EachStep:
+def _imposed_braking(situation: Situation, simulated: SimulatedPlans) -> PerPathAndStep:
     """Return the braking that the robot imposes on each car behind it [m/s^2].
 
     Braking that drivers tolerate does not count.
@@ -371,7 +380,7 @@ def _relative_speed(
     simulated: SimulatedPlans,
     own_heading: Numbers,
     other_heading: Numbers,
-) -> EachStep:
+) -> PerPathAndStep:
     """Return the speed of others relative to the robot [m/s].
 
     Args:
@@ -401,7 +410,7 @@ def _first(happens: Bool[Array, "*rows steps"]) -> Int[Array, "*rows 1"]:
     return jnp.where(happens, jnp.arange(steps), steps).min(axis=-1, keepdims=True)
 
 
-def _occupied(situation: Situation, simulated: SimulatedPlans) -> EachStep:
+def _occupied(situation: Situation, simulated: SimulatedPlans) -> PerPathAndStep:
     """Return length and width of the space that others may occupy [m].
 
     The space of crossing cars is longer. Their time of arrival is uncertain, since they
@@ -420,7 +429,7 @@ def _occupied(situation: Situation, simulated: SimulatedPlans) -> EachStep:
     return jnp.stack([lengths + 2 * error, widths], axis=-1)
 
 
-def _avoidable(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
+def _avoidable(situation: Situation, simulated: SimulatedPlans) -> FlagPerPath:
     """Return whether the robot can still stop before each crossing path.
 
     It has to be able to do so after the first steps of a plan.
@@ -433,12 +442,12 @@ def _avoidable(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
     return crossings.exist & (room > needed)
 
 
-def blocks(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
+def blocks(situation: Situation, simulated: SimulatedPlans) -> FlagPerPath:
     """Return whether a plan ends in the way of each crossing car.
 
     The robot then still stands there when the car arrives. The car keeps its speed, and
     the robot goes on a little faster than at the end of the plan. Oncoming cars in the
-    robot's lane count in `ms_highway.road.lost_speed.speed_lost`.
+    robot's lane count in `ms_highway.road.cost_to_go`.
     """
     scene = situation.scene
     crossings = situation.crossings
@@ -453,8 +462,8 @@ def blocks(situation: Situation, simulated: SimulatedPlans) -> EachFlag:
     is_under_robot = in_corridor & (crossings.s > rear) & (crossings.s < front)
 
     # When the robot has left the crossing, and when the car arrives there.
-    way_out = highest(crossings.s, in_corridor) + clearance - s
-    leaving_time = way_out / (speed + BLOCKED_CROSSING.speeding_up)
+    distance_to_clear = highest(crossings.s, in_corridor) + clearance - s
+    leaving_time = distance_to_clear / (speed + BLOCKED_CROSSING.speeding_up)
     first_place = lowest(crossings.places, is_under_robot)
     way_there = first_place - scene.sizes[:, 0] - end.along
     arrival_time = way_there / jnp.maximum(end.speed, BLOCKED_CROSSING.lowest_speed)

@@ -219,7 +219,7 @@ class RoadSettings(Struct, frozen=True):
         return Rule(ladder, costs, Knapsack(choice.number, share=1.0), Bounds())
 
     def planning(self, desired_speed: float, frame: float) -> RoadPlanning:
-        """Return limits and wishes of plans.
+        """Return the limits and the desired speed of plans.
 
         Args:
             desired_speed: the speed that the scene rewards, unless another one is
@@ -238,10 +238,10 @@ class RoadSettings(Struct, frozen=True):
         planning: RoadPlanning,
         random: np.random.Generator | None = None,
     ) -> RoadDriver | AddedRoadDriver:
-        """Return a driver with these limits and wishes.
+        """Return a driver with these limits and desired speed.
 
         Args:
-            planning: limits and wishes.
+            planning: limits, and the desired speed.
             random: source of the key of a driver that remembers, see
                 `ms_highway.add_driver`.
         """

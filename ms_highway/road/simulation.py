@@ -7,7 +7,7 @@ from jax import numpy as jnp
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.perception.scene import (
-    EachStep,
+    PerPathAndStep,
     RoadScene,
     States,
     Steps,
@@ -51,7 +51,7 @@ class SimulatedPlans(NamedTuple):
     traffic: TrafficMotion
 
     @property
-    def robot(self) -> EachStep:
+    def robot(self) -> PerPathAndStep:
         """The robot's s, d, heading and speed, [4, plans, 1, steps]."""
         return jnp.moveaxis(self.states[:, None], -1, 0)
 
@@ -79,7 +79,7 @@ def simulate(
     across = lateral_positions(scene, planning.times)  # [traffic, steps]
     start = (scene.robot, *positions_and_speeds(scene))
 
-    def simulate_one(plan: Profiles, accelerations: EachStep) -> StepRecord:
+    def simulate_one(plan: Profiles, accelerations: PerPathAndStep) -> StepRecord:
         """Simulate a plan, given the accelerations of others that do not follow."""
 
         def step(carry: tuple, inputs: tuple) -> tuple[tuple, StepRecord]:
@@ -118,7 +118,7 @@ def simulate(
     return SimulatedPlans(records.state, records.control, centre, world, traffic)
 
 
-def _slip_angles(scene: RoadScene, along: EachStep) -> EachStep:
+def _slip_angles(scene: RoadScene, along: PerPathAndStep) -> PerPathAndStep:
     """Return the slip angles of others.
 
     In bends, centres do not move along the heading.

@@ -14,8 +14,8 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.geometry.lane_paths import Point
 from ms_highway.geometry.road_map import Goal, Spot, road_map
 from ms_highway.road.added import AddedRoadDriver
+from ms_highway.road.cost_to_go import VALUE_GRID
 from ms_highway.road.driver import RoadDriver
-from ms_highway.road.lost_speed import VALUE_GRID
 from ms_highway.road.road_weights import RoadWeights
 
 

@@ -11,7 +11,7 @@ from jax import numpy as jnp
 from jaxtyping import Bool
 
 from ms_highway.game.car_following import FREE_GAP
-from ms_highway.geometry.bodies import CORNERS
+from ms_highway.geometry.bodies import CORNERS, Sizes
 from ms_highway.geometry.curve import (
     BEHIND,
     SPACING,
@@ -21,7 +21,14 @@ from ms_highway.geometry.curve import (
     interpolate,
     rotated,
 )
-from ms_highway.perception.scene import Flags, PlanLanes, RoadScene, Steps, Traffic
+from ms_highway.perception.scene import (
+    SHAPE,
+    Flags,
+    PlanLanes,
+    RoadScene,
+    Steps,
+    Traffic,
+)
 from ms_highway.road.road_planning import RoadPlanning
 from ms_highway.road.road_weights import RoadWeights
 from ms_highway.road.swing import inward_shift_of, sharpest_bends
@@ -176,7 +183,7 @@ class Situation(NamedTuple):
 
     Attributes:
         scene: the road.
-        planning: limits and wishes.
+        planning: limits, and the desired speed.
         weights: of the score.
         paths: of the traffic, relative to the route.
         crossings: of these paths and the route.
@@ -185,6 +192,7 @@ class Situation(NamedTuple):
             the route, see `ms_highway.road.swing.inward_shift_of` [m].
         speed_caps: highest speeds at the knots of the route [m/s].
         obstruction: of the robot's lane.
+        contact: see `RoadScene.contact`; computed once, since many steps use it [m].
     """
 
     scene: RoadScene
@@ -196,6 +204,7 @@ class Situation(NamedTuple):
     inward_shift: Knots
     speed_caps: Knots
     obstruction: Obstruction
+    contact: Sizes
 
 
 def situation_of(
@@ -227,6 +236,7 @@ def situation_of(
         inward_shift,
         _speed_caps(scene, planning, inward_shift),
         _obstruction(scene, weights),
+        scene.contact,
     )
 
 
@@ -346,7 +356,7 @@ def _obstruction(scene: RoadScene, weights: RoadWeights) -> Obstruction:
 
     # Obstacles that leave too little of the robot's lane.
     needed = scene.size[1] + 2 * weights.comfortable
-    lane_centre = interpolate(scene.lanes[1], rear)
+    lane_centre = interpolate(scene.lanes[SHAPE.own_lane], rear)
     is_near = (
         scene.present
         & ~scene.moving

@@ -1,10 +1,13 @@
-"""Compute how much speed the robot loses to traffic in the seconds after a plan.
+"""Compute the cost-to-go of plans: the speed that traffic costs in the seconds after.
 
-The time after the plan is simple: all others keep their lane and their speed. In each
-second the robot may go on at another speed and may change to the next lane. The best
-way to drive is found by dynamic programming, backwards from the last second, on a grid
-of lanes, places and speeds. The table of values is the same for all plans of a step;
-each plan looks up the place and the speed at which it ends.
+In these seconds, all others keep their lane and their speed. In each second, the robot
+may go on at another speed and may change to the next lane. Dynamic programming finds
+the best way to drive, backwards from the last second, on a grid of lanes, places and
+speeds.
+
+One table serves all plans of a step. Each plan looks up the lane, the place and the
+speed at which it ends. The grid's lanes are equally wide and centred on the robot's
+route; the caps of speed are those of the route, in all lanes.
 """
 
 from dataclasses import dataclass
@@ -17,7 +20,13 @@ from jaxtyping import Bool, Float
 
 from ms_highway.game.car_following import FREE_GAP
 from ms_highway.geometry.curve import interpolate
-from ms_highway.perception.scene import EachCar, EachFlag, PlanLanes, Plans
+from ms_highway.perception.scene import (
+    SHAPE,
+    FlagPerPath,
+    PerPath,
+    PerPlan,
+    PlanLanes,
+)
 from ms_highway.road.simulation import SimulatedPlans
 from ms_highway.road.stopping_room import STOPPING_ROOM
 from ms_highway.road.traffic import COSINES, STANDING_SPEED, Situation, lane_of
@@ -29,35 +38,34 @@ TableInTime = Float[jax.Array, "seconds lanes places speeds"]
 
 @dataclass(frozen=True)
 class ValueGrid:
-    """Set the grid of the dynamic programming, and what its steps cost.
+    """Set the grid of the dynamic programming, and the costs on it.
 
-    Speeds are counted in steps: the desired speed is ``speeds - 1`` steps. Places are
-    as far apart as one step of speed leads in a second, so that a robot moves from
-    place to place.
+    Speeds are counted in bins; the desired speed is ``speeds - 1`` bins. Places are one
+    bin times 1 s apart, so that every speed moves the robot by a whole number of
+    places in a second. Costs are in bins: one bin of speed less for a second costs 1.
     """
 
     lanes_beside: int = 2
     """Number of lanes on each side of the robot's lane."""
     places: int = 144
-    """Number of places: the way of twelve seconds at the desired speed, four of the
-    plan and eight after it.
+    """Number of places: the distance covered in twelve seconds at the desired speed,
+    four of the plan and eight after it. Where it is longer than the scene's route, the
+    last speed cap and the last edges of the route continue.
     """
     speeds: int = 13
     """Number of speeds, from 0 to the desired speed."""
     seconds: int = 8
     """Number of seconds after a plan in which the loss of speed counts."""
     slowing: int = 2
-    """Largest decrease of speed in a second [steps]."""
+    """Largest decrease of speed in a second [bins]."""
     speeding: int = 1
-    """Largest increase of speed in a second [steps]."""
+    """Largest increase of speed in a second [bins]."""
     lane_change: float = 0.3
-    """Cost of a lane change [steps of speed for a second]."""
+    """Cost of a lane change [bins]."""
     blocked: float = 30.0
-    """Cost of a second in the way of others; it exceeds the loss of all speed [steps of
-    speed].
-    """
+    """Cost of a second in the way of others, above the loss of all speed [bins]."""
     no_lane: float = -1e3
-    """Value of lanes beyond the outermost, which nobody chooses [steps of speed]."""
+    """Value of lanes beyond the outermost, which nobody chooses [bins]."""
 
     @property
     def lanes(self) -> int:
@@ -77,8 +85,8 @@ class LaterGaps:
     behind: float = 3.0
     """Gap to the car behind [m]."""
     headway_behind: float = 0.3
-    """Upper bound of the gap behind as a time gap at the desired speed: in jams, others
-    follow more closely [s].
+    """Upper bound of the gap behind as a time gap at the robot's desired speed. It
+    binds where the desired speed is below 10 m/s, as traffic is closer there [s].
     """
     braking: float = 2.5
     """Comfortable deceleration behind others [m/s^2]."""
@@ -87,7 +95,9 @@ class LaterGaps:
     lane_tolerance: float = 0.5
     """Distance beyond the lines of a lane up to which a car's centre is in it [m]."""
     unlimited_speed: float = 1e3
-    """Speed of the next car, and allowed speed, where there is no car [m/s]."""
+    """Stands for the speeds of cars that do not count, so that they drop out of a
+    minimum [m/s].
+    """
 
 
 LATER_GAPS = LaterGaps()
@@ -95,9 +105,10 @@ LATER_GAPS = LaterGaps()
 
 @dataclass(frozen=True)
 class CloseUp:
-    """Set which of the others limits the robot's speed first.
+    """Set which car ahead limits the robot's speed.
 
-    It is the one that allows least speed if the robot closes up to it.
+    It is the one that allows the lowest mean speed, if the robot closes up to it within
+    a given time.
     """
 
     seconds: float = 3.0
@@ -109,16 +120,19 @@ class CloseUp:
 CLOSE_UP = CloseUp()
 
 
-class LostSpeed(NamedTuple):
-    """The loss of speed after plans.
+class CostToGo(NamedTuple):
+    """The cost-to-go of plans.
 
     Attributes:
-        speed: mean loss after each plan [m/s].
-        is_limiting: which of the others limits the speed first.
+        speed_cost: cost-to-go per second: lost speed, lane changes, and being in the
+            way of others. It may exceed the desired speed [m/s].
+        is_limiting: which path's car limits the speed. The whole cost is charged to it,
+            although bends, ends of lanes and other cars contribute. Paths of one car
+            that coincide are tied.
     """
 
-    speed: Plans
-    is_limiting: EachFlag
+    speed_cost: PerPlan
+    is_limiting: FlagPerPath
 
 
 class LaterTraffic(NamedTuple):
@@ -127,17 +141,19 @@ class LaterTraffic(NamedTuple):
     Attributes:
         s: positions along the route when the plan ends [m].
         speed: along the route, negative for oncoming cars [m/s].
-        in_lane: which of them are in each lane, [plans, lanes, traffic]; as a median
-            over plans, a number from 0 to 1.
+        in_lane: which of them are in each lane.
     """
 
-    s: EachCar
-    speed: EachCar
-    in_lane: EachFlag | EachCar
+    s: PerPath
+    speed: PerPath
+    in_lane: Bool[jax.Array, "plans lanes traffic"]
 
 
 class NextCar(NamedTuple):
-    """The nearest car ahead of, or just behind, each place of the grid.
+    """The car to which the gap is smallest, from each place of the grid.
+
+    A car just behind a place has a negative gap. It hides the car ahead, as the place
+    is blocked in any case.
 
     Attributes:
         gap: to it, negative behind [m], [seconds, lanes, places, 1].
@@ -148,86 +164,93 @@ class NextCar(NamedTuple):
     speed: TableInTime
 
 
-def speed_lost(
+def cost_to_go(
     situation: Situation,
     simulated: SimulatedPlans,
     lanes: PlanLanes,
-) -> LostSpeed:
-    """Return the mean loss of speed after each plan, and who limits the speed first.
+) -> CostToGo:
+    """Return the cost-to-go of each plan, and which car limits its speed.
 
     Args:
         situation: what all plans share.
         simulated: the plans.
-        lanes: in which the plans end, 0 to 2.
+        lanes: in which the plans end, see `SceneShape.own_lane`.
     """
     scene = situation.scene
     fastest = jnp.asarray(situation.planning.desired_speed, float)
-    speed_step = fastest / (VALUE_GRID.speeds - 1)
+    speed_bin = fastest / (VALUE_GRID.speeds - 1)  # [m/s]
     middle = simulated.states[:, -1, 0] + scene.size[0] / 2
     speed = simulated.states[:, -1, 3]
 
-    # Look up the place, the speed and the lane of each plan, between the places and
-    # speeds of the grid. Lane 1 of a plan, the robot's, is in the middle of the grid.
-    values = _values(situation, simulated, speed_step)
-    lane = lanes + VALUE_GRID.lanes_beside - 1
-    place = jnp.clip(middle / speed_step, 0.0, VALUE_GRID.places - 1.01)
-    pace = jnp.clip(speed / speed_step, 0.0, VALUE_GRID.speeds - 1.01)
-    lost_steps = -map_coordinates(values, [lane, place, pace], order=1)
-    lost = lost_steps * speed_step / VALUE_GRID.seconds
+    # Look up the value at each plan's end, in its lane and between the grid's places
+    # and speeds. The robot's lane is in the middle of the grid. Coordinates are
+    # strictly inside the grid, as `map_coordinates` returns 0 beyond it.
+    values = _values(situation, simulated, speed_bin)
+    lane = lanes + VALUE_GRID.lanes_beside - SHAPE.own_lane
+    place = jnp.clip(middle / speed_bin, 0.0, VALUE_GRID.places - 1.01)
+    pace = jnp.clip(speed / speed_bin, 0.0, VALUE_GRID.speeds - 1.01)
+    cost_in_bins = -map_coordinates(values, [lane, place, pace], order=1)
+    speed_cost = cost_in_bins * speed_bin / VALUE_GRID.seconds
 
-    # The speed that each car ahead in the lane allows to a robot that closes up to it.
+    # The mean speed that each car ahead in the lane allows a robot that closes up.
     lane_centre = lane_of(scene.lanes, lanes, middle)[:, None]
     traffic = _traffic_after(situation, simulated, lane_centre)
     distance = traffic.s - middle[:, None]
-    closable = jnp.maximum(distance - scene.contact[:, 0] - CLOSE_UP.gap, 0.0)
+    contact_length = situation.contact[:, 0]
+    closable = jnp.maximum(distance - contact_length - CLOSE_UP.gap, 0.0)
     allowed = jnp.where(
         traffic.in_lane[:, 0] & (distance > 0),
         traffic.speed + closable / CLOSE_UP.seconds,
         LATER_GAPS.unlimited_speed,
     )
-    is_first = allowed == allowed.min(axis=-1, keepdims=True)
-    return LostSpeed(lost, is_first & (allowed < fastest))
+    limits_most = allowed == allowed.min(axis=-1, keepdims=True)
+    return CostToGo(speed_cost, limits_most & (allowed < fastest))
 
 
 def _values(
     situation: Situation,
     simulated: SimulatedPlans,
-    speed_step: Scalar,
+    speed_bin: Scalar,
 ) -> Table:
-    """Return the value of each lane, place and speed at the end of a plan.
+    """Return the value of each lane, place and speed at the end of a plan [bins].
 
-    It is minus the loss of speed still to come [steps of speed]. In each second, the
-    robot first may change its lane l, then changes its speed v, then drives on from
-    place p. The value V of second t follows from that of the next second::
+    The value V is minus the cost-to-go. In each second, the robot first may change its
+    lane l, then changes its speed v, then drives on from place p. By the Bellman
+    recursion, V of second t follows from that of the next second, without discount::
 
         Q_t(l, p, v) = max over v' from v - slowing to v + speeding of
             V_(t+1)(l, p + v', v') - blocked_(t+1)(l, p + v', v') - loss(p + v', v')
         V_t(l, p, v) = the highest of Q_t(l, p, v) and, in the lanes l' beside it,
             Q_t(l', p, v) - blocked_t(l', p, v) - lane_change
+
+    A robot that stays in its lane does not pay blocked_t there: the previous second
+    charged it already. At t = 0, nothing did, so that the end of the plan is free.
     """
-    places = speed_step * jnp.arange(VALUE_GRID.places)  # [m]
+    places = speed_bin * jnp.arange(VALUE_GRID.places)  # [m]
 
     # The loss in each second at each place and speed, and the cost of being in the way
     # of others there.
-    loss = _speed_loss(situation, places, speed_step)
-    blocked = _blocked_cost(situation, simulated, places, speed_step)
+    loss = _speed_loss(situation, places, speed_bin)
+    blocked = _blocked_cost(situation, simulated, places, speed_bin)
 
-    def second_earlier(value: Table, costs: tuple[Table, Table]) -> tuple[Table, None]:
-        """Return the values a second earlier.
+    def second_earlier(later: Table, costs: tuple[Table, Table]) -> tuple[Table, None]:
+        """Return the values V a second earlier.
 
         Args:
-            value: of each lane, place and speed a second later.
+            later: values V of each lane, place and speed a second later.
             costs: of being in the way of others now and a second later.
         """
         blocked_now, blocked_later = costs
-        at_new_speed = _after_driving(value - blocked_later - loss)
-        in_lane = _after_best_speed_change(at_new_speed)
-        return _after_best_lane_change(in_lane, in_lane - blocked_now), None
+        q_driving = _after_driving(later - blocked_later - loss)
+        q_staying = _after_best_speed_change(q_driving)
+        q_arriving = q_staying - blocked_now
+        return _after_best_lane_change(q_staying, q_arriving), None
 
     # Go backwards from the last second, after which nothing counts.
     at_end = jnp.zeros(blocked.shape[1:])
     now_and_later = (blocked[:-1], blocked[1:])
-    return jax.lax.scan(second_earlier, at_end, now_and_later, reverse=True)[0]
+    first_values, _ = jax.lax.scan(second_earlier, at_end, now_and_later, reverse=True)
+    return first_values
 
 
 def _after_driving(value: Table) -> Table:
@@ -249,7 +272,8 @@ def _after_best_speed_change(value: Table) -> Table:
     beyond = ((0, 0), (0, 0), (VALUE_GRID.slowing, VALUE_GRID.speeding))
     value = jnp.pad(value, beyond, constant_values=-jnp.inf)
     best = value[..., : VALUE_GRID.speeds]  # slows down as much as possible
-    for change in range(1, VALUE_GRID.slowing + VALUE_GRID.speeding + 1):
+    largest_change = VALUE_GRID.slowing + VALUE_GRID.speeding
+    for change in range(1, largest_change + 1):
         best = jnp.maximum(best, value[..., change : change + VALUE_GRID.speeds])
     return best
 
@@ -264,6 +288,8 @@ def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
     arriving = arriving - VALUE_GRID.lane_change
     beyond = ((1, 1), (0, 0), (0, 0))
     arriving = jnp.pad(arriving, beyond, constant_values=VALUE_GRID.no_lane)
+
+    # Lanes are ordered from left to right.
     to_the_left = arriving[:-2]
     to_the_right = arriving[2:]
     return jnp.maximum(staying, jnp.maximum(to_the_left, to_the_right))
@@ -272,12 +298,13 @@ def _after_best_lane_change(staying: Table, arriving: Table) -> Table:
 def _speed_loss(
     situation: Situation,
     places: Float[Array, "places"],
-    speed_step: Scalar,
+    speed_bin: Scalar,
 ) -> Float[jax.Array, "places speeds"]:
-    """Return how far each speed is below the highest at each place [steps of speed]."""
+    """Return how far each speed is below the highest at each place [bins]."""
     fastest = situation.planning.desired_speed
     highest = jnp.minimum(interpolate(situation.speed_caps, places), fastest)
-    loss = highest[:, None] / speed_step - jnp.arange(VALUE_GRID.speeds)
+    highest_in_bins = highest[:, None] / speed_bin
+    loss = highest_in_bins - jnp.arange(VALUE_GRID.speeds)
     return jnp.maximum(loss, 0.0)
 
 
@@ -285,11 +312,11 @@ def _blocked_cost(
     situation: Situation,
     simulated: SimulatedPlans,
     places: Float[Array, "places"],
-    speed_step: Scalar,
+    speed_bin: Scalar,
 ) -> TableInTime:
     """Return the cost of being in the way of others, or where there is no lane.
 
-    It is the cost in each second after the plan [steps of speed].
+    It is the cost in each second after the plan [bins].
     """
     lane_width = situation.planning.lane_width
     from_own_lane = jnp.arange(-VALUE_GRID.lanes_beside, VALUE_GRID.lanes_beside + 1.0)
@@ -300,7 +327,7 @@ def _blocked_cost(
     # The gap that a robot of speed v needs behind a car of speed u:
     #     ahead + reaction_time v + max(v - u, 0)^2 / (2 braking);
     # an oncoming car, u < 0, counts as standing, and adds oncoming_time |u|.
-    speeds = speed_step * jnp.arange(VALUE_GRID.speeds)
+    speeds = speed_bin * jnp.arange(VALUE_GRID.speeds)
     closing_speed = jnp.maximum(speeds - jnp.maximum(car.speed, 0.0), 0.0)
     oncoming = LATER_GAPS.oncoming_time * jnp.maximum(-car.speed, 0.0)
     needed = (
@@ -336,35 +363,37 @@ def _next_car(
     centres: Float[jax.Array, "lanes"],
     places: Float[Array, "places"],
 ) -> NextCar:
-    """Return the nearest car in each lane, from each place and in each second.
+    """Return the car with the smallest gap in each lane, place and second.
 
-    One table serves all plans, so others are where they are in most of the plans.
+    One table serves all plans. So others are at their median position over plans, and
+    in the lanes in which they are in most plans.
     """
-    scene = situation.scene
-    contact = scene.contact[:, 0]
+    contact_length = situation.contact[:, 0]
 
-    # Others at the end of a plan, as a median over plans: [traffic] and
-    # [lanes, traffic].
-    lane_of_plans = jnp.tile(centres, (len(simulated.states), 1))
-    of_plans = _traffic_after(situation, simulated, lane_of_plans)
-    traffic = LaterTraffic(*(jnp.median(field, axis=0) for field in of_plans))
-    in_lane = traffic.in_lane > 0.5
+    # Others at the end of a plan, [traffic] and [lanes, traffic].
+    centres_per_plan = jnp.tile(centres, (len(simulated.states), 1))
+    of_plans = _traffic_after(situation, simulated, centres_per_plan)
+    s = jnp.median(of_plans.s, axis=0)
+    speed = jnp.median(of_plans.speed, axis=0)
+    median_in_lane = jnp.median(of_plans.in_lane, axis=0)  # 1 in most plans, or 0
+    in_lane = median_in_lane > 0.5
 
     # Distance from each place to each car, [seconds, 1, places, traffic].
     seconds = jnp.arange(VALUE_GRID.seconds + 1)
-    position = traffic.s + traffic.speed * seconds[:, None]
+    position = s + speed * seconds[:, None]
     distance = position[:, None, None] - places[:, None]
 
     # Cars count that are in the lane and ahead, or so little behind that the robot
     # would be in their way.
-    behind = jnp.minimum(
-        LATER_GAPS.behind, LATER_GAPS.headway_behind * situation.planning.desired_speed
-    )
-    counts = in_lane[:, None] & (distance > -contact - behind)
-    gaps = jnp.where(counts, distance - contact, FREE_GAP)
+    time_gap_behind = LATER_GAPS.headway_behind * situation.planning.desired_speed
+    gap_behind = jnp.minimum(LATER_GAPS.behind, time_gap_behind)
+    counts = in_lane[:, None] & (distance > -contact_length - gap_behind)
+    gaps = jnp.where(counts, distance - contact_length, FREE_GAP)
     nearest_gap = gaps.min(axis=-1, keepdims=True)
+
+    # Where no car counts, all gaps are `FREE_GAP`, and the speed does not matter.
     is_nearest = gaps == nearest_gap
-    speeds = jnp.where(is_nearest, traffic.speed, LATER_GAPS.unlimited_speed)
+    speeds = jnp.where(is_nearest, speed, LATER_GAPS.unlimited_speed)
     return NextCar(nearest_gap, speeds.min(axis=-1, keepdims=True))
 
 
