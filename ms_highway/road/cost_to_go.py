@@ -174,7 +174,7 @@ def cost_to_go(
     Args:
         situation: what all plans share.
         simulated: the plans.
-        lanes: in which the plans end, see `SceneShape.own_lane`.
+        lanes: in which the plans end, see `SHAPE.own_lane`.
     """
     scene = situation.scene
     fastest = jnp.asarray(situation.planning.desired_speed, float)

@@ -16,7 +16,7 @@ class Profile(NamedTuple):
     """A rule by which a plan drives.
 
     Attributes:
-        lane: target lane, see `SceneShape.own_lane`.
+        lane: target lane, see `SHAPE.own_lane`.
         speed_share: share of the desired speed, where the plan follows the traffic.
         acceleration: where the plan does not follow the traffic [m/s^2].
         follows: whether the plan follows the traffic.

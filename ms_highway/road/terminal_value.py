@@ -8,11 +8,12 @@ Plans take only a few seconds. The terminal value has five terms:
 * so does the speed that traffic then costs, see `ms_highway.road.cost_to_go`.
 
 The urgency of mandatory lane changes follows from the present speed and room, and is
-the same for all plans. The rest depends on how a plan ends.
+the same for all plans. The rest follows from each plan, mostly from its end.
 
 Costs that another car causes are returned for each path of this car. They lower the
-score of a plan. The choice of models does not use them: `Scores.responsive` leaves them
-out. A car with several paths is charged for each of them, in full.
+score of a plan. The choice of models does not use them, as ``responsive`` of
+`ms_highway.road.score.Scores` leaves them out. A car with several paths is charged for
+each of them, in full.
 """
 
 from dataclasses import dataclass
