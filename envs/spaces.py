@@ -39,24 +39,24 @@ class CarStates(ObservationType):
 
     scales: ClassVar[Vector] = np.array([100.0, 10.0, 40.0, 40.0, 1.0, 1.0])
     """What the columns are divided by [m, m, m/s, m/s, 1, 1]."""
-    reached: ClassVar[tuple[float, float]] = (400.0, 1000.0)
+    extremes: ClassVar[tuple[float, float]] = (400.0, 1000.0)
     """Speed and distance to the side that 50 m/s^2 does not exceed [m/s, m]."""
 
     def __init__(self, env: AbstractEnv, **_: object) -> None:
         super().__init__(env)
-        fastest, widest = self.reached
-        farthest = 100.0 + fastest * env.config["duration"]
-        reached = np.array([farthest, widest, fastest, fastest, 1.0, 1.0])
-        low, high = self.ends(reached / self.scales)
+        speed, y = self.extremes
+        x = 100.0 + speed * env.config["duration"]
+        largest = np.array([x, y, speed, speed, 1.0, 1.0]) / self.scales
+        low, high = self.ends(largest)
         self.low = np.tile(np.float32(low), (env.cars, 1))
         self.high = np.tile(np.float32(high), (env.cars, 1))
 
-    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
+    def ends(self, largest: Vector) -> tuple[Numbers, Numbers]:
         """Return the lowest and the highest value of each column.
 
-        They follow from the scaled values that states reach.
+        They follow from the largest scaled values that states have.
         """
-        return -reached, reached
+        return -largest, largest
 
     def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """Return the columns [..., cars] of states [..., cars, 4].
@@ -70,14 +70,14 @@ class CarStates(ObservationType):
 
         # Positions and velocities of the others are relative to the robot.
         is_other = np.arange(states.shape[-2]) > 0
-        relative = [
-            column - is_other * column[..., :1]
-            for column in (x, y, speed * cosine, speed * sine)
-        ]
-        columns = (*relative, cosine, sine)
-        return [
-            column / scale for column, scale in zip(columns, self.scales, strict=True)
-        ]
+        columns = []
+        for absolute in (x, y, speed * cosine, speed * sine):
+            robot = absolute[..., :1]
+            columns.append(absolute - is_other * robot)
+
+        columns += [cosine, sine]
+        scaled = zip(columns, self.scales, strict=True)
+        return [column / scale for column, scale in scaled]
 
     def space(self) -> spaces.Box:
         """Return the space."""
@@ -86,7 +86,8 @@ class CarStates(ObservationType):
     def observe(self) -> np.ndarray:
         """Return the observation of the present state."""
         time_left = 1 - self.env.steps / self.env.episode_steps
-        return np.asarray(self.of(self.env.car_states, np.array(time_left)))
+        observation = self.of(self.env.car_states, np.array(time_left))
+        return np.asarray(observation)
 
     def of(self, states: States, time_left: Numbers) -> Numbers:
         """Return the observations of states [..., cars, 4], in NumPy or JAX.
@@ -108,25 +109,23 @@ class SceneStates(CarStates):
     time that is left, the same in all rows.
     """
 
-    reached = (80.0, 100.0)
+    extremes = (80.0, 100.0)
 
-    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
+    def ends(self, largest: Vector) -> tuple[Numbers, Numbers]:
         """See `CarStates`."""
-        low = np.array([0.0, *-reached, 0.0, 0.0])
-        high = np.array([1.0, *reached, 1.0, 1.0])
+        low = np.array([0.0, *-largest, 0.0, 0.0])
+        high = np.array([1.0, *largest, 1.0, 1.0])
         return low, high
 
     def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """See `CarStates`."""
         xp = states.__array_namespace__()
-        ones = xp.ones_like(states[..., 0])
-        distances = cone_distances(self.env.game.scene, states) / self.scales[0]
-        return [
-            ones,
-            *super().columns(states, time_left),
-            distances,
-            ones * xp.asarray(time_left)[..., None],
-        ]
+        presence = xp.ones_like(states[..., 0])
+        motion = super().columns(states, time_left)
+        distances = cone_distances(self.env.game.scene, states)
+        scaled_distances = distances / self.scales[0]
+        time_left_of_all = presence * xp.asarray(time_left)[..., None]
+        return [presence, *motion, scaled_distances, time_left_of_all]
 
 
 def cone_distances(scene: Scene, states: States) -> Float[Array, "*batch cars"]:
@@ -138,11 +137,11 @@ def cone_distances(scene: Scene, states: States) -> Float[Array, "*batch cars"]:
     cones = np.asarray(scene.obstacles, dtype=float)
 
     # From every car to every cone, [..., cars, cones].
-    ahead = cones[:, 0] - states[..., 0, None]
-    across = xp.abs(cones[:, 1] - states[..., 1, None])
-    in_lane = across < float(scene.lane_width) / 2
-    counted = xp.where((ahead > 0) & in_lane, ahead, xp.inf)
-    nearest = xp.min(counted, axis=-1, initial=xp.inf)
+    along = cones[:, 0] - states[..., 0, None]
+    across = cones[:, 1] - states[..., 1, None]
+    in_lane = xp.abs(across) < float(scene.lane_width) / 2
+    counts = (along > 0) & in_lane
+    nearest = xp.min(xp.where(counts, along, xp.inf), axis=-1, initial=xp.inf)
 
     # From front to front, instead of from centre to centre.
     lengths = float(scene.obstacle_size[0] + scene.car_size[0])
@@ -160,15 +159,19 @@ class CarTracks(CarStates):
     bound = 1e4
     """Bound of all numbers, which none reaches [m, rad, m/s]."""
 
-    def ends(self, reached: Vector) -> tuple[Numbers, Numbers]:
+    def ends(self, largest: Vector) -> tuple[Numbers, Numbers]:
         """See `CarStates`."""
-        low = np.array([0.0, *[-self.bound] * 4])
-        high = np.array([1.0, *[self.bound] * 4])
+        bounds = [self.bound] * 4
+        high = np.array([1.0, *bounds])
+        low = np.array([0.0, *np.negative(bounds)])
         return low, high
 
     def columns(self, states: States, time_left: Numbers) -> list[Numbers]:
         """See `CarStates`."""
-        return [self.env.present, *(facing(states).T * self.env.present)]
+        present = self.env.present
+        # x, y, heading and speed of all cars: [4, cars].
+        motion = facing(states).T * present
+        return [present, *motion]
 
 
 class TupleObservation(observations.TupleObservation):
@@ -204,9 +207,9 @@ def finite(space: spaces.Space) -> spaces.Space:
             " 'DiscreteMetaAction'"
         )
     if isinstance(space, spaces.Box):
-        return spaces.Box(
-            np.nan_to_num(space.low), np.nan_to_num(space.high), dtype=space.dtype.type
-        )
+        low = np.nan_to_num(space.low)
+        high = np.nan_to_num(space.high)
+        return spaces.Box(low, high, dtype=space.dtype.type)
     return space
 
 
@@ -223,7 +226,8 @@ def is_possible(space: spaces.Space, action: object) -> bool:
         return bool(space.contains(action))
     try:
         numbers = np.asarray(action)
-    except ValueError:  # of lists of different lengths
+    except ValueError:
+        # NumPy refuses lists of different lengths.
         return False
     if numbers.shape != space.shape or numbers.dtype.kind not in "biuf":
         return False
@@ -255,7 +259,8 @@ def _limited_action(
     vehicle = kind.controlled_vehicle
     friction = vehicle.friction if isinstance(vehicle, BicycleVehicle) else 0.0
     acceleration = np.array(control["acceleration"])
-    limited = _within_speeds(kind, acceleration, np.array(vehicle.speed), friction)
+    speed = np.array(vehicle.speed)
+    limited = _within_speeds(kind, acceleration, speed, friction)
     return control | {"acceleration": float(limited)}
 
 
@@ -296,13 +301,16 @@ def executed_controls(
     # The shares of the ranges, from 0 to 1.
     clipped = xp.clip(action, -1, 1) if kind.clip else action
     shares = (clipped + 1) / 2
-    slowest, fastest = kind.acceleration_range
+    lowest, highest = kind.acceleration_range
+    acceleration = lowest + shares[..., 0] * (highest - lowest)
     left, right = kind.steering_range
-    acceleration = slowest + shares[..., 0] * (fastest - slowest)
     steering = left + shares[..., 1] * (right - left)
 
+    # Keep within the range of speeds.
     friction = keep_velocity(dynamics, cars)[..., 1]
     acceleration = _within_speeds(kind, acceleration, speed, friction)
+
+    # Steering is the angle of the front wheels: curvature = tan(angle) / length.
     curvature = xp.tan(steering) / BicycleVehicle.LENGTH
     omega = curvature if dynamics.steering == "curvature" else curvature * speed
     return xp.stack([omega, acceleration], axis=-1)
@@ -337,6 +345,6 @@ class HumanModelAction(Autopilot):
 
     def act(self, action: object) -> None:
         """Choose the models of the coming plan."""
-        self.controlled_vehicle.controller.rule = in_order(
-            np.asarray(action).reshape(1, -1), self.env.settings.models
-        )
+        order = np.asarray(action).reshape(1, -1)  # [steps = 1, humans]
+        rule = in_order(order, self.env.settings.models)
+        self.controlled_vehicle.controller.rule = rule

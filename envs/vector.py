@@ -71,14 +71,16 @@ class InteractionVectorEnv(VectorEnv):
                 f"render_mode is {render_mode!r}; nothing is rendered here, make a"
                 " single environment"
             )
-        whole = isinstance(num_envs, (int, np.integer))
-        if isinstance(num_envs, bool) or not whole or num_envs < 1:
+        is_whole = isinstance(num_envs, (int, np.integer))
+        is_whole = is_whole and not isinstance(num_envs, bool)
+        if not is_whole or num_envs < 1:
             raise ValueError(
                 f"num_envs is {num_envs!r}; give a whole number of environments from"
                 " 1 on"
             )
         self.autoreset_mode = autoreset_mode_of(autoreset_mode)
-        self._functions = functions = FunctionalEnv(environment, config)
+        functions = FunctionalEnv(environment, config)
+        self._functions = functions
         self.num_envs = int(num_envs)
         self.metadata = {"autoreset_mode": self.autoreset_mode, "render_modes": []}
         self.single_observation_space = functions.observation_space
@@ -87,7 +89,8 @@ class InteractionVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.episode_steps = functions.steps
         self._randoms = [seeding.np_random(None)[0] for _ in range(num_envs)]
-        self._state: EnvState | None = None  # before the first reset
+        # None before the first reset.
+        self._state: EnvState | None = None
         self._ended = np.ones(num_envs, bool)
         self._collided = np.zeros(num_envs, bool)
         self._groups = min(cores(), ceil(num_envs / functions.loop.together))
@@ -115,9 +118,9 @@ class InteractionVectorEnv(VectorEnv):
         options = options or {}
         refuse_unknown("the reset options", options, ["reset_mask"])
         mask = self._reset_mask(options)
-        for place, own in enumerate(self._seeds(seed)):
-            if own is not None and mask[place]:
-                self._randoms[place] = seeding.np_random(own)[0]
+        for index, own_seed in enumerate(self._seeds(seed)):
+            if own_seed is not None and mask[index]:
+                self._randoms[index], _ = seeding.np_random(own_seed)
         observations = self._renew(mask)
         return observations, _masked(self._info_at_reset(), mask)
 
@@ -128,7 +131,8 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for a mask that is empty, has another shape, or leaves out
                 environments that were never reset.
         """
-        mask = np.asarray(options.get("reset_mask", np.ones(self.num_envs, bool)))
+        everything = np.ones(self.num_envs, bool)
+        mask = np.asarray(options.get("reset_mask", everything))
         if mask.shape != (self.num_envs,) or mask.dtype != bool or not mask.any():
             what = f"options['reset_mask'] is {mask.tolist()}"
             raise ValueError(
@@ -155,7 +159,7 @@ class InteractionVectorEnv(VectorEnv):
             first = checked_seed(seed)
             seeds = [None] * self.num_envs
             if first is not None:
-                seeds = [first + place for place in range(self.num_envs)]
+                seeds = list(range(first, first + self.num_envs))
         if len(seeds) != self.num_envs:
             raise ValueError(
                 f"there are {len(seeds)} seeds for {self.num_envs} environments; give"
@@ -175,19 +179,20 @@ class InteractionVectorEnv(VectorEnv):
             ValueError: for actions outside the action space, before the first reset,
                 and after the end of an episode in the mode without automatic resets.
         """
-        refuse_after_fork()  # the threads of the process before are missing here, too
+        # In a fork, also the threads are missing.
+        refuse_after_fork()
         state = self._state
-        disabled = self.autoreset_mode is AutoresetMode.DISABLED
-        if state is None or (disabled and self._ended.any()):
-            places = np.flatnonzero(self._ended).tolist()
+        no_autoreset = self.autoreset_mode is AutoresetMode.DISABLED
+        if state is None or (no_autoreset and self._ended.any()):
+            ended = np.flatnonzero(self._ended).tolist()
             raise ValueError(
-                f"environments must be reset before they can step: {places}"
+                f"environments must be reset before they can step: {ended}"
             )
-        numbers = self._checked_actions(np.asarray(actions))
+        checked_actions = self._checked_actions(np.asarray(actions))
 
         # All environments are computed; those whose episode has ended do not count.
         stepped = ~self._ended
-        state, records = self._advance(state, numbers)
+        state, records = self._advance(state, checked_actions)
         self._state = state
         self._collided = self._collided | records.collision
         outcome = self._functions.outcome(records, state.step)
@@ -204,8 +209,8 @@ class InteractionVectorEnv(VectorEnv):
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._ended.any():
             renewed = self._ended.copy()
             final = np.full(self.num_envs, None, dtype=object)
-            for place in np.flatnonzero(renewed):
-                final[place] = observations[place]
+            for index in np.flatnonzero(renewed):
+                final[index] = observations[index]
             ends = {"final_obs": final, "final_info": _masked(values, renewed)}
             info = _masked(values, ~renewed) | _masked(ends, renewed)
         if renewed.any():
@@ -220,11 +225,12 @@ class InteractionVectorEnv(VectorEnv):
                 the ends are clipped.
         """
         space = self.action_space
-        possible = actions.shape == space.shape and actions.dtype.kind in "biuf"
-        possible = possible and bool(np.isfinite(actions).all())
+        are_numbers = actions.shape == space.shape and actions.dtype.kind in "biuf"
+        possible = are_numbers and bool(np.isfinite(actions).all())
         if possible and not self._functions.agent_drives:
-            numbers = actions.astype(space.dtype)
-            possible = space.contains(numbers) and bool((numbers == actions).all())
+            converted = actions.astype(space.dtype)
+            are_equal = bool((converted == actions).all())
+            possible = are_equal and space.contains(converted)
         if not possible:
             raise ValueError(
                 f"the actions {actions!r} are impossible; give some of {space}"
@@ -238,22 +244,25 @@ class InteractionVectorEnv(VectorEnv):
     def _renew(self, mask: np.ndarray) -> np.ndarray:
         """Draw new episodes of some environments; return the observations of all."""
         functions = self._functions
-        drawn = [functions.draw(self._randoms[place]) for place in np.flatnonzero(mask)]
+        chosen = np.flatnonzero(mask)
+        drawn = [functions.draw(self._randoms[index]) for index in chosen]
         episodes = stack_episodes(drawn)
-        number = len(episodes)
+        count = len(episodes)
 
-        # Filled up with copies, so that one program serves any number.
+        # Begin them, filled up with copies, so that one program serves any number.
         starts = episodes.starts
         filled = np.resize(starts, (self.num_envs, *starts.shape[1:]))
         begun = _begin(functions.loop, filled)
-        now = jax.tree.map(lambda part: np.array(part)[:number], begun)
-        new = EnvState(now, episodes, np.zeros(number, int))
+        now = jax.tree.map(lambda array: np.array(array)[:count], begun)
+        new = EnvState(now, episodes, np.zeros(count, int))
 
+        # Replace the rows of these environments.
         if self._state is None:
             self._state = new
         old_arrays = jax.tree.leaves(self._state)
-        for old, rows in zip(old_arrays, jax.tree.leaves(new), strict=True):
-            old[mask] = rows
+        new_arrays = jax.tree.leaves(new)
+        for old, new_rows in zip(old_arrays, new_arrays, strict=True):
+            old[mask] = new_rows
         self._ended[mask] = False
         self._collided[mask] = False
         state = self._state
@@ -273,33 +282,40 @@ class InteractionVectorEnv(VectorEnv):
         loop = self._functions.loop
         inputs = self._functions.step_inputs(state, actions)
 
-        # The places of the environments, [threads, rounds, chunk].
-        order = np.argsort(inputs.scheduled.max(axis=1), kind="stable")
+        # The indices of the environments, [threads, rounds, chunk].
+        most_expensive = inputs.scheduled.max(axis=1)
+        order = np.argsort(most_expensive, kind="stable")
         rounds = ceil(self.num_envs / (self._groups * loop.together))
-        groups = np.resize(order, (rounds, self._groups, loop.together)).swapaxes(0, 1)
+        by_round = np.resize(order, (rounds, self._groups, loop.together))
+        groups = by_round.swapaxes(0, 1)
 
         # The inputs have the scheduled models.
         episodes = replace(state.episodes, schedules=None)  # type: ignore[arg-type]
         everything = (episodes, state.now, inputs)
 
-        def advance(places: np.ndarray) -> tuple[EpisodeCarry, Records]:
-            own = jax.tree.map(lambda part: np.asarray(part)[places], everything)
+        def advance(indices: np.ndarray) -> tuple[EpisodeCarry, Records]:
+            """Step the environments of a thread."""
+            own = jax.tree.map(lambda array: np.asarray(array)[indices], everything)
             return jax.tree.map(np.asarray, _step_chunks(loop, *own))
 
         results = list(self._threads.map(advance, groups))
 
-        # Back to the order of the environments: the first place of each counts.
-        _, back = np.unique(groups, return_index=True)
-        now, records = jax.tree.map(
-            lambda *parts: np.concatenate(np.concatenate(parts))[back], *results
-        )
+        # Back to the order of the environments: the first result of each counts.
+        _, first = np.unique(groups, return_index=True)
+
+        def in_order(*arrays: np.ndarray) -> np.ndarray:
+            """Return the rows of all environments, from arrays [rounds, chunk, ...]."""
+            in_a_row = np.concatenate(np.concatenate(arrays))
+            return in_a_row[first]
+
+        now, records = jax.tree.map(in_order, *results)
         records = checked_records(loop, records)
         return state._replace(now=now, step=state.step + 1), records
 
     def _info(self, records: Records) -> Config:
         """Return the values of ``info`` after a step."""
         functions = self._functions
-        loop = self._functions.loop
+        loop = functions.loop
         info: Config = {"collision": records.collision.copy()}
         if not functions.agent_drives:
             names = np.array([model.name for model in loop.models])
@@ -307,8 +323,9 @@ class InteractionVectorEnv(VectorEnv):
             info["model"] = names[records.rungs.max(axis=1)]
             info["counted_seconds"] = functions.costs.total(records.planned)
         if functions.environment.scenario.streams:
-            reached = loop.game.scene.is_reached(records.states[:, 0, 1])
-            info["success"] = reached & ~self._collided
+            y = records.states[:, 0, 1]
+            is_in_lane = loop.game.scene.is_reached(y)
+            info["success"] = is_in_lane & ~self._collided
         return info
 
     def _info_at_reset(self) -> Config:
@@ -318,10 +335,16 @@ class InteractionVectorEnv(VectorEnv):
         """
         assert self._state is not None
         states = np.asarray(self._state.now.state)
-        none = np.zeros((self.num_envs, self._functions.loop.game.number), np.int32)
-        values = self._info(
-            Records(none, none, none[:, 0], collision=self._collided, states=states)
+        humans = self._functions.loop.game.number
+        zeros = np.zeros((self.num_envs, humans), np.int32)
+        records = Records(
+            zeros,
+            zeros,
+            zeros[:, 0],
+            collision=self._collided,
+            states=states,
         )
+        values = self._info(records)
         for name in ("status", "model", "counted_seconds"):
             if name in values:
                 values[name] = np.zeros_like(values[name])
