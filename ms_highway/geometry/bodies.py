@@ -79,7 +79,7 @@ def separation_of_directed(
     other_x, other_y, other_cosine, other_sine = other
     xp = namespace(*own, *other)
 
-    # The angle between both: how far a size reaches along and across the other one.
+    # Cosine and sine of the angle between both.
     parallel = xp.abs(own_cosine * other_cosine + own_sine * other_sine)
     slanted = xp.abs(own_cosine * other_sine - own_sine * other_cosine)
 
@@ -95,12 +95,18 @@ def separation_of_directed(
         across = xp.abs(place[1])
         half_length = two[0] / 2
         half_width = two[1] / 2
-        gap_along = along - one[0] / 2 - half_length * parallel - half_width * slanted
-        gap_across = across - one[1] / 2 - half_length * slanted - half_width * parallel
+
+        # From the side of the first to the nearest corner of the second.
+        from_end = along - one[0] / 2
+        gap_along = from_end - half_length * parallel - half_width * slanted
+        from_side = across - one[1] / 2
+        gap_across = from_side - half_length * slanted - half_width * parallel
         return xp.maximum(gap_along, gap_across)
 
-    gap_from_own = gap(place_in_frame(own, other_x, other_y), size, other_size)
-    gap_from_other = gap(place_in_frame(other, own_x, own_y), other_size, size)
+    place_of_other = place_in_frame(own, other_x, other_y)
+    gap_from_own = gap(place_of_other, size, other_size)
+    place_of_own = place_in_frame(other, own_x, own_y)
+    gap_from_other = gap(place_of_own, other_size, size)
     return xp.maximum(gap_from_own, gap_from_other)
 
 
@@ -119,9 +125,12 @@ def circles_overlap(
         radius: of the circles [m].
     """
     xp = namespace(along, across)
-    beyond_end = xp.maximum(xp.abs(along) - size[0] / 2, 0.0)
-    beyond_side = xp.maximum(xp.abs(across) - size[1] / 2, 0.0)
-    return beyond_end**2 + beyond_side**2 < radius**2
+    from_end = xp.abs(along) - size[0] / 2
+    from_side = xp.abs(across) - size[1] / 2
+    beyond_end = xp.maximum(from_end, 0.0)
+    beyond_side = xp.maximum(from_side, 0.0)
+    squared_distance = beyond_end**2 + beyond_side**2
+    return squared_distance < radius**2
 
 
 def place_in_frame(own: Directed, x: Numeric, y: Numeric) -> Directions:
@@ -129,7 +138,9 @@ def place_in_frame(own: Directed, x: Numeric, y: Numeric) -> Directions:
     own_x, own_y, cosine, sine = own
     dx = x - own_x
     dy = y - own_y
-    return cosine * dx + sine * dy, cosine * dy - sine * dx
+    along = cosine * dx + sine * dy
+    across = cosine * dy - sine * dx
+    return along, across
 
 
 def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
@@ -142,7 +153,8 @@ def body_points(size: AnySizes, corner: Scalar) -> Float[Array, "9 2"]:
         corner: position of the corners as a share of the size.
     """
     xp = namespace(size, corner)
-    return xp.concatenate([corner * CORNERS, MIDDLES]) * xp.asarray(size)
+    in_sizes = xp.concatenate([corner * CORNERS, MIDDLES])
+    return in_sizes * xp.asarray(size)
 
 
 def point_offsets(
@@ -162,7 +174,8 @@ def point_offsets(
     times = np.ndim(other_x) - 1
 
     # Offset and direction of the body in the frames of the others [bodies, *times].
-    x, y, cosine, sine = (xp.broadcast_to(part, np.shape(other_x)) for part in own)
+    shape = np.shape(other_x)
+    x, y, cosine, sine = (xp.broadcast_to(part, shape) for part in own)
     dx = x - other_x
     dy = y - other_y
     ahead = other_cosine * dx + other_sine * dy
@@ -171,16 +184,18 @@ def point_offsets(
     slant = other_cosine * sine - other_sine * cosine
 
     # All with an axis of points [bodies, points, *times].
-    shape = len(dx), len(points), *dx.shape[1:]
+    with_points = (len(dx), len(points), *dx.shape[1:])
     ahead, across, turned, slant = (
-        xp.broadcast_to(part[:, None], shape) for part in (ahead, across, turned, slant)
+        xp.broadcast_to(part[:, None], with_points)
+        for part in (ahead, across, turned, slant)
     )
     of_points = points.T.reshape(2, 1, -1, *[1] * times)
-    along, aside = xp.broadcast_to(of_points, (2, *shape))
-    return (
-        ahead + turned * along - slant * aside,
-        across + slant * along + turned * aside,
-    )
+    along, aside = xp.broadcast_to(of_points, (2, *with_points))
+
+    # Turn the points into the frames of the others.
+    point_ahead = ahead + turned * along - slant * aside
+    point_across = across + slant * along + turned * aside
+    return point_ahead, point_across
 
 
 def ellipse_distance(
@@ -204,7 +219,9 @@ def ellipse_distance(
         width: of the other bodies, likewise.
     """
     x, y = point_offsets(own, points, other)
-    return (x / (length / 2)) ** 2 + (y / (width / 2)) ** 2 - 1
+    along = x / (length / 2)
+    across = y / (width / 2)
+    return along**2 + across**2 - 1
 
 
 def square_distance(x: Numbers, y: Numbers) -> Numbers:
@@ -218,8 +235,9 @@ def square_distance(x: Numbers, y: Numbers) -> Numbers:
         x: along the body, in shares of half its length.
         y: across the body, in shares of half its width.
     """
+    xp = namespace(x, y)
     least = 1e-6  # keeps the derivatives of the root finite
-    return namespace(x, y).sqrt(x**4 + y**4 + least)
+    return xp.sqrt(x**4 + y**4 + least)
 
 
 def nearest_ahead(
@@ -234,6 +252,7 @@ def nearest_ahead(
             the rest may be anything.
     """
     xp = namespace(distance, counts)
-    ahead = counts & (distance > 0)
-    nearest = xp.argmin(xp.where(ahead, distance, xp.inf), axis=-1)
-    return nearest, xp.any(ahead, axis=-1)
+    is_ahead = counts & (distance > 0)
+    distance_ahead = xp.where(is_ahead, distance, xp.inf)
+    nearest = xp.argmin(distance_ahead, axis=-1)
+    return nearest, xp.any(is_ahead, axis=-1)

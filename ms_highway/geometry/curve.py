@@ -68,12 +68,14 @@ class Curve:
         along = np.gradient(x, edge_order=order)
         aside = np.gradient(y, edge_order=order)
         heading = np.unwrap(np.arctan2(aside, along))
-        return cls(x, y, heading, np.gradient(heading, spacing), 0.0, spacing)
+        curvature = np.gradient(heading, spacing)
+        return cls(x, y, heading, curvature, start=0.0, spacing=spacing)
 
     @property
     def end(self) -> Numeric:
         """Return s of the last sample [m]."""
-        return self.start + (np.shape(self.x)[-1] - 1) * self.spacing
+        samples = np.shape(self.x)[-1]
+        return self.start + (samples - 1) * self.spacing
 
     def interpolate(self, values: Knots, s: Numeric) -> Numbers:
         """Interpolate values that belong to the samples.
@@ -89,11 +91,13 @@ class Curve:
         cosine = xp.cos(heading)
         sine = xp.sin(heading)
 
-        # The curve goes straight on beyond its ends.
-        beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
-        placed_x = x + beyond * cosine - d * sine
-        placed_y = y + beyond * sine + d * cosine
-        return placed_x, placed_y, heading
+        # Along the curve, which goes straight on beyond its ends.
+        beyond = self._beyond_ends(s)
+        along_x = x + beyond * cosine
+        along_y = y + beyond * sine
+
+        # Then to the right of it.
+        return along_x - d * sine, along_y + d * cosine, heading
 
     def project(self, x: Numbers, y: Numbers, heading: Numeric) -> Pose:
         """Return s, d and relative heading in [-pi, pi) of poses.
@@ -107,22 +111,25 @@ class Curve:
         several = self.x.ndim > 1
         own_x = self.x[:, None] if several else self.x
         own_y = self.y[:, None] if several else self.y
-        squares = (x[..., None] - own_x) ** 2 + (y[..., None] - own_y) ** 2
-        nearest = xp.argmin(squares, axis=-1)
+        dx = x[..., None] - own_x  # [*positions, samples]
+        dy = y[..., None] - own_y
+        nearest = xp.argmin(dx**2 + dy**2, axis=-1)
         s = nearest * self.spacing + self.start
 
         # Along a bend, s advances faster than a position inside of it moves.
         for _ in range(self.iterations):
             from_x, from_y, along, bend = self._at(s)
-            beyond = s - xp.minimum(xp.maximum(s, self.start), self.end)
+            beyond = self._beyond_ends(s)
             ahead, d = rotated(x - from_x, y - from_y, along)
             ahead = ahead - beyond
-            step = ahead / xp.maximum(1 - d * bend, self.nearest_centre)
+            radius_share = xp.maximum(1 - d * bend, self.nearest_centre)
+            step = ahead / radius_share
             s = s + step
 
         # d and heading at the last s, by the bend up to there.
         d_at_s = d - bend * ahead * step / 2
-        return s, d_at_s, wrapped(heading - along - bend * step)
+        turned = heading - along - bend * step
+        return s, d_at_s, wrapped(turned)
 
     def locate(self, points: Float[Array, "*points 2"]) -> tuple[Numbers, Numbers]:
         """Return s and d of points."""
@@ -138,18 +145,30 @@ class Curve:
         part = jax.tree.map(lambda values: values[..., low:high], self)
         return replace(part, start=self.start + low * self.spacing)
 
+    def _beyond_ends(self, s: Numeric) -> Numbers:
+        """Return how far s is beyond the end, or before the start if negative [m]."""
+        xp = namespace(self.x, s)
+        on_curve = xp.minimum(xp.maximum(s, self.start), self.end)
+        return s - on_curve
+
     def _at(self, s: Numeric) -> list[Numbers]:
         """Interpolate x, y, heading and curvature at s.
 
         Several curves are interpolated row by row.
         """
-        low, share = _between(np.shape(self.x)[-1], s, self.start, self.spacing)
+        samples = np.shape(self.x)[-1]
+        low, share = _between(samples, s, self.start, self.spacing)
         xp = namespace(self.x, s)
+        rows: tuple[np.ndarray, ...] = ()
+        if self.x.ndim > 1:
+            rows = (np.arange(len(self.x))[:, None],)
+
         found = []
-        for values in map(xp.asarray, (self.x, self.y, self.heading, self.curvature)):
-            rows = () if values.ndim == 1 else (np.arange(len(values))[:, None],)
-            before = values[*rows, low]
-            found.append(before + share * (values[*rows, low + 1] - before))
+        for values in (self.x, self.y, self.heading, self.curvature):
+            array = xp.asarray(values)
+            before = array[*rows, low]
+            after = array[*rows, low + 1]
+            found.append(before + share * (after - before))
 
         # Beyond its ends, the curve is straight.
         x, y, heading, curvature = found
@@ -178,7 +197,9 @@ def rotated(x: Numbers, y: Numbers, heading: Numeric) -> tuple[Numbers, Numbers]
     xp = namespace(x, y, heading)
     cosine = xp.cos(heading)
     sine = xp.sin(heading)
-    return x * cosine + y * sine, y * cosine - x * sine
+    along = x * cosine + y * sine
+    to_right = y * cosine - x * sine
+    return along, to_right
 
 
 def interpolate(
@@ -191,9 +212,12 @@ def interpolate(
 
     Beyond the ends, the outermost values continue.
     """
-    low, share = _between(np.shape(values)[-1], s, start, spacing)
-    values = namespace(values, s).asarray(values)
-    return values[..., low] * (1 - share) + values[..., low + 1] * share
+    samples = np.shape(values)[-1]
+    low, share = _between(samples, s, start, spacing)
+    array = namespace(values, s).asarray(values)
+    before = array[..., low]
+    after = array[..., low + 1]
+    return before * (1 - share) + after * share
 
 
 def _between(
@@ -202,9 +226,10 @@ def _between(
     start: Numeric,
     spacing: float,
 ) -> tuple[Int[Array, "..."] | np.integer, Numbers]:
-    """Return the number of the sample before s, and the share of the way onwards."""
+    """Return the index of the sample before s, and the share of the way to the next."""
     xp = namespace(s)
-    position = xp.minimum(xp.maximum((s - start) / spacing, 0.0), samples - 1.0)
+    steps = (s - start) / spacing
+    position = xp.minimum(xp.maximum(steps, 0.0), samples - 1.0)
     low = xp.minimum(position.astype(int), samples - 2)
     return low, position - low
 
@@ -215,7 +240,9 @@ def arc_lengths(positions: Rows) -> Float[np.ndarray, "samples"]:
     Args:
         positions: rows of x and y.
     """
-    return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(positions)))])
+    dx, dy = np.diff(positions)
+    lengths = np.hypot(dx, dy)
+    return np.concatenate([[0.0], np.cumsum(lengths)])
 
 
 def resample(rows: Rows, spacing: float) -> Float[np.ndarray, "rows resampled"]:
@@ -225,4 +252,5 @@ def resample(rows: Rows, spacing: float) -> Float[np.ndarray, "rows resampled"]:
     """
     along = arc_lengths(rows[:2])
     even = np.arange(0.0, along[-1], spacing)
-    return np.stack([np.interp(even, along, row) for row in rows])
+    resampled = [np.interp(even, along, row) for row in rows]
+    return np.stack(resampled)

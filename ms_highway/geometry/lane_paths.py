@@ -76,8 +76,8 @@ class LaneCurve:
     @cached_property
     def rows(self) -> Rows:
         """x, y, heading and curvature of the samples, [4, samples]."""
-        own = self.curve
-        return np.stack([own.x, own.y, own.heading, own.curvature])
+        curve = self.curve
+        return np.stack([curve.x, curve.y, curve.heading, curve.curvature])
 
     def way(self, s: float) -> float:
         """Return the way at a distance from the curve's beginning [m]."""
@@ -101,28 +101,29 @@ def project_cars(
     """
     # The part of each curve near its car, all parts of the same length.
     spacing = LANE_PATHS.spacing
-    number = int(2 * LANE_PATHS.search / spacing) + 1
-    first = np.zeros(len(curves), dtype=int)
-    parts = np.zeros((4, len(curves), number))
-    for place, (curve, way) in enumerate(zip(curves, ways, strict=True)):
+    length = int(2 * LANE_PATHS.search / spacing) + 1  # samples of a part
+    firsts = np.zeros(len(curves), dtype=int)
+    parts = np.zeros((4, len(curves), length))
+    for car, (curve, way) in enumerate(zip(curves, ways, strict=True)):
         low = int(np.searchsorted(curve.ways, way - LANE_PATHS.search))
-        first[place] = min(low, curve.ways.size - number)
-        parts[:, place] = curve.rows[:, first[place] : first[place] + number]
+        first = min(low, curve.ways.size - length)
+        firsts[car] = first
+        parts[:, car] = curve.rows[:, first : first + length]
 
-    # Project each car on its own part.
+    # Project each car on its own part [cars, 1].
+    part_x, part_y, part_heading, part_curvature = parts
+    starts = spacing * firsts[:, None]
+    near = Curve(part_x, part_y, part_heading, part_curvature, starts, spacing)
     x, y = positions.T[:, :, None]
-    own_x, own_y, along, bend = parts
-    near = Curve(own_x, own_y, along, bend, spacing * first[:, None], spacing)
     s, d, turned = near.project(x, y, headings[:, None])
     return np.asarray(s[:, 0]), np.asarray(d[:, 0]), np.asarray(turned[:, 0])
 
 
 def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
-    """Return curves with s = 0 at the given s, arrays [curves, knots] of single
-    precision.
+    """Return a part of each curve, with s = 0 where the curve has the given s.
 
-    Their headings at s = 0 are wrapped. Beyond the ends of a curve, its outermost
-    sample is repeated.
+    Arrays are [curves, knots], of single precision. Headings at s = 0 are wrapped.
+    Beyond the ends of a curve, its outermost sample is repeated.
 
     Args:
         curves: along lanes.
@@ -134,28 +135,35 @@ def paths_from(curves: Sequence[LaneCurve], s: Row, knots: int) -> Curve:
     # between them.
     spacing = LANE_PATHS.spacing
     places = s[:, None] - BEHIND + SPACING * np.arange(knots)  # [curves, knots]
-    before = np.floor(places / spacing).astype(int)
-    share = places / spacing - before
-    sides = np.stack([before, before + 1], axis=1)  # [curves, 2, knots]
-    found = []
-    for curve, own in zip(curves, sides, strict=True):
-        found.append(curve.rows.take(own, axis=1, mode="clip"))  # [4, 2, knots]
-    left, right = np.stack(found, axis=1).swapaxes(0, 2)  # [curves, 4, knots]
+    indices = np.floor(places / spacing).astype(int)
+    share = places / spacing - indices
+    rows_before = []
+    rows_after = []
+    for curve, index in zip(curves, indices, strict=True):
+        rows_before.append(curve.rows.take(index, axis=1, mode="clip"))  # [4, knots]
+        rows_after.append(curve.rows.take(index + 1, axis=1, mode="clip"))
 
-    # Interpolate between them, and wrap the headings at s = 0.
-    share = share[:, None]
-    x, y, heading, curvature = (left * (1 - share) + right * share).swapaxes(0, 1)
-    here = heading[:, int(BEHIND / SPACING), None]
-    heading = heading + wrapped(here) - here
-    return Curve(*np.stack([x, y, heading, curvature]).astype(np.float32))
+    # Interpolate between them [4, curves, knots].
+    before = np.stack(rows_before, axis=1)
+    after = np.stack(rows_after, axis=1)
+    x, y, heading, curvature = before * (1 - share) + after * share
+
+    # Wrap the headings at s = 0.
+    heading_now = heading[:, int(BEHIND / SPACING), None]
+    heading = heading + wrapped(heading_now) - heading_now
+    rows = np.stack([x, y, heading, curvature])
+    return Curve(*rows.astype(np.float32))
 
 
 def samples(lane: AbstractLane, low: float, high: float) -> tuple[Row, Points, Row]:
     """Return places, positions and headings along a lane between two bounds."""
     spacing = LANE_PATHS.lane_spacing
-    s = spacing * np.arange(np.ceil(low / spacing), np.floor(high / spacing) + 1)
-    points = np.array([lane.position(place, 0.0) for place in s]).reshape(-1, 2)
-    return s, points, np.array([lane.heading_at(place) for place in s])
+    first = np.ceil(low / spacing)
+    last = np.floor(high / spacing)
+    s = spacing * np.arange(first, last + 1)
+    points = np.array([lane.position(place, 0.0) for place in s])
+    headings = np.array([lane.heading_at(place) for place in s])
+    return s, points.reshape(-1, 2), headings
 
 
 def join_lanes(
@@ -199,7 +207,8 @@ def join_lanes(
     for width in widths:
         smooth, moved = _smooth(raw, width)
         bend = np.abs(smooth.curve.curvature).max()
-        if found and within < np.inf and bend > LANE_PATHS.sharper * sharpest:
+        is_sharper = within < np.inf and bend > LANE_PATHS.sharper * sharpest
+        if found and is_sharper:
             break
         found = smooth
         sharpest = max(sharpest, bend)
@@ -220,13 +229,14 @@ def _sampled(
     The last part is the straight line beyond the last lane, if the second way is there.
     """
     parts = []
-    for number, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
-        is_last = number + 1 == len(lanes)
-        first = LANE_PATHS.trim if number else -np.inf
-        last = lane.length - (LANE_PATHS.end_trim if is_last else LANE_PATHS.trim)
-        s, points, headings = samples(
-            lane, max(first, low - start), min(last, high - start)
-        )
+    for index, (lane, start) in enumerate(zip(lanes, starts, strict=False)):
+        is_last = index + 1 == len(lanes)
+        trim_at_end = LANE_PATHS.end_trim if is_last else LANE_PATHS.trim
+        first = LANE_PATHS.trim if index else -np.inf
+        last = lane.length - trim_at_end
+        from_s = max(first, low - start)
+        to_s = min(last, high - start)
+        s, points, headings = samples(lane, from_s, to_s)
         parts.append((start + s, points, headings))
 
     end = starts[-1]
@@ -234,9 +244,10 @@ def _sampled(
         spacing = LANE_PATHS.lane_spacing
         beyond = np.arange(max(0.0, low - end), high - end + spacing, spacing)
         heading = lane.heading_at(lane.length)
-        straight = beyond[:, None] * np.array([np.cos(heading), np.sin(heading)])
-        points = lane.position(lane.length, 0.0) + straight
-        parts.append((end + beyond, points, np.full(beyond.shape, heading)))
+        direction = np.array([np.cos(heading), np.sin(heading)])
+        points = lane.position(lane.length, 0.0) + beyond[:, None] * direction
+        headings = np.full(beyond.shape, heading)
+        parts.append((end + beyond, points, headings))
     return parts
 
 
@@ -248,11 +259,13 @@ def _bridged(
     """Return rows of x, y and way, evenly spaced along a Hermite spline."""
     spacing = LANE_PATHS.spacing
     along = arc_lengths(points.T)
-    slopes = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
-    spline = CubicHermiteSpline(along, points, slopes)
+    directions = np.stack([np.cos(headings), np.sin(headings)], axis=-1)
+    spline = CubicHermiteSpline(along, points, directions)
     dense = np.arange(0.0, along[-1], spacing)
+    dense_positions = spline(dense).T  # [2, samples]
     dense_ways = np.interp(dense, along, ways)
-    return resample(np.concatenate([spline(dense).T, dense_ways[None]]), spacing)
+    rows = np.concatenate([dense_positions, dense_ways[None]])
+    return resample(rows, spacing)
 
 
 def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:
@@ -265,12 +278,18 @@ def _smooth(raw: Rows, width: float) -> tuple[LaneCurve, float]:
         width: of the Gaussian [m].
     """
     spacing = LANE_PATHS.spacing
-    once = gaussian_filter1d(raw[:2], width / spacing, mode="nearest")
-    twice = gaussian_filter1d(once, width / spacing, mode="nearest")
+    width_in_samples = width / spacing
+    once = gaussian_filter1d(raw[:2], width_in_samples, mode="nearest")
+    twice = gaussian_filter1d(once, width_in_samples, mode="nearest")
 
     # Smoothing moves a bend towards its inside, twice as far the second time.
     smooth = 2 * once - twice
     cut = int(LANE_PATHS.cut * LANE_PATHS.margin / spacing)
-    moved = np.hypot(*(smooth - raw[:2])[:, cut:-cut]).max()
-    x, y, ways = resample(np.concatenate([smooth, raw[2:]])[:, cut:-cut], spacing)
-    return LaneCurve(Curve.through(x, y, spacing), ways), float(moved)
+    dx, dy = (smooth - raw[:2])[:, cut:-cut]
+    moved = np.hypot(dx, dy).max()
+
+    # Sample evenly what the cut leaves.
+    rows = np.concatenate([smooth, raw[2:]])
+    x, y, ways = resample(rows[:, cut:-cut], spacing)
+    curve = Curve.through(x, y, spacing)
+    return LaneCurve(curve, ways), float(moved)
