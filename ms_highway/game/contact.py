@@ -80,8 +80,8 @@ def overlap(
         return with_cars
     radius = (jnp.asarray(scene.obstacle_size)[1] + clearance) / 2
     along, across = _obstacles_in_frame(scene, own)
-    with_obstacles = jnp.any(circles_overlap(along, across, size, radius), axis=0)
-    return with_cars | with_obstacles
+    overlaps = circles_overlap(along, across, size, radius)  # [obstacles, *times]
+    return with_cars | jnp.any(overlaps, axis=0)
 
 
 def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
@@ -99,13 +99,19 @@ def contact_cost(scene: Scene, own: Motion, others: Motion) -> Times:
         own: motion of the car, arrays [*times].
         others: motion of the other cars, arrays [others, *times].
     """
-    offsets = point_offsets(own[:4], contact_points(scene), others[:4])
-    from_cars = _distance_from(jnp.asarray(scene.car_size), *offsets)
-    cost = jnp.sum(_cost(from_cars), axis=(0, 1))  # over cars and points
+    # D of the car's points from all other cars [others, points, *times].
+    points = contact_points(scene)
+    along, across = point_offsets(own[:4], points, others[:4])
+    car_size = jnp.asarray(scene.car_size)
+    from_cars = _distance_from(car_size, along, across)
+    cost = jnp.sum(_cost(from_cars), axis=(0, 1))
     if not len(scene.obstacles):
         return cost
+
+    # D of the obstacles from the car [obstacles, *times].
     from_obstacles = _distance_of_obstacles(scene, own)
-    return cost + CONTACT.obstacle_weight * jnp.sum(_cost(from_obstacles), axis=0)
+    cost_of_obstacles = jnp.sum(_cost(from_obstacles), axis=0)
+    return cost + CONTACT.obstacle_weight * cost_of_obstacles
 
 
 def contact_points(scene: Scene) -> Float[jax.Array, "points 2"]:
@@ -124,7 +130,7 @@ def car_residuals(
     points: Float[Array, "2 points steps"],
     others: Motion,
 ) -> Float[jax.Array, "others points steps"]:
-    """Return quantities whose squares bend in D like `contact_cost`.
+    """Return quantities whose squares have `contact_cost`'s second derivatives in D.
 
     The derivatives of D are left to the caller; its second ones are left out
     (Gauss-Newton).
@@ -136,8 +142,12 @@ def car_residuals(
         others: motion of the other cars, arrays [others, steps].
     """
     other = Motion(*(part[:, None] for part in others))
-    offsets = place_in_frame(other[:4], points[0], points[1])
-    return _residual(_distance_from(jnp.asarray(scene.car_size), *offsets))
+    x = points[0]
+    y = points[1]
+    along, across = place_in_frame(other[:4], x, y)
+    car_size = jnp.asarray(scene.car_size)
+    distance = _distance_from(car_size, along, across)
+    return _residual(distance)
 
 
 def obstacle_residuals(
@@ -145,16 +155,19 @@ def obstacle_residuals(
     own: Motion,
 ) -> Float[jax.Array, "obstacles steps"]:
     """Return the same as `car_residuals` for obstacles."""
-    return CONTACT.obstacle_weight**0.5 * _residual(_distance_of_obstacles(scene, own))
+    residual = _residual(_distance_of_obstacles(scene, own))
+    return CONTACT.obstacle_weight**0.5 * residual
 
 
 def _cost(distance: Numbers) -> Numbers:
-    return CONTACT.cost * jnp.maximum(CONTACT.margin - distance, 0.0) ** 3
+    depth = jnp.maximum(CONTACT.margin - distance, 0.0)
+    return CONTACT.cost * depth**3
 
 
 def _residual(distance: Numbers) -> jax.Array:
     """Return ``sqrt(c'' / 2) D`` of the cost c, with c'' taken as constant."""
-    depth = jnp.maximum(CONTACT.margin - jax.lax.stop_gradient(distance), 0.0)
+    now = jax.lax.stop_gradient(distance)
+    depth = jnp.maximum(CONTACT.margin - now, 0.0)
     second_derivative = 6 * CONTACT.cost * depth
     return jnp.sqrt(second_derivative / 2) * distance
 
@@ -166,12 +179,15 @@ def _distance_of_obstacles(
     """Return D of the obstacles' centres from the car, widened by their diameter."""
     diameter = jnp.asarray(scene.obstacle_size)[1]
     size = jnp.asarray(scene.car_size) + diameter
-    return jnp.asarray(_distance_from(size, *_obstacles_in_frame(scene, own)))
+    along, across = _obstacles_in_frame(scene, own)
+    return jnp.asarray(_distance_from(size, along, across))
 
 
 def _distance_from(size: Array, along: Numeric, across: Numeric) -> Numbers:
     """Return the `square_distance` of places along and across a body of a size [m]."""
-    return square_distance(along / (size[0] / 2), across / (size[1] / 2))
+    half_length = size[0] / 2
+    half_width = size[1] / 2
+    return square_distance(along / half_length, across / half_width)
 
 
 def _obstacles_in_frame(scene: Scene, own: Motion) -> Directions:

@@ -121,15 +121,11 @@ def step(
     acceleration = control[..., 1] - _resistance(dynamics, speed)
     dt = dynamics.time_step
     distance = speed * dt + acceleration * dt**2 / 2
-    return xp.stack(
-        [
-            state[..., 0] + distance * xp.cos(heading),
-            state[..., 1] + distance * xp.sin(heading),
-            heading + yaw_rate * dt,
-            speed + acceleration * dt,
-        ],
-        axis=-1,
-    )
+    x = state[..., 0] + distance * xp.cos(heading)
+    y = state[..., 1] + distance * xp.sin(heading)
+    next_heading = heading + yaw_rate * dt
+    next_speed = speed + acceleration * dt
+    return xp.stack([x, y, next_heading, next_speed], axis=-1)
 
 
 @jax.jit  # traced once for all cars of a plan
@@ -166,7 +162,8 @@ def rollout(
     sine = jnp.sin(heading)
 
     # d = v dt + a' dt^2 / 2, along the heading before each step.
-    distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
+    after_friction = acceleration - dynamics.drag * before
+    distance = before * dt + after_friction * (dt**2 / 2)
     x = _accumulate(state[..., 0], distance * cosine[..., :-1])
     y = _accumulate(state[..., 1], distance * sine[..., :-1])
     return Motion(*(field[..., 1:] for field in (x, y, cosine, sine, speed)))
@@ -207,14 +204,15 @@ def rollout_jacobian(
     left = 1 - dynamics.drag * dt  # share of a speed that friction leaves after a step
     speed = speeds(dynamics, car[3], acceleration)
     per_acceleration = _step_weights(steps, left)[:, 1:] * dt  # V_kj
-    faster = jnp.stack(
-        [jnp.zeros_like(per_acceleration), per_acceleration], axis=-1
-    ).reshape(1 + steps, -1)
+    per_omega = jnp.zeros_like(per_acceleration)
+    faster = jnp.stack([per_omega, per_acceleration], axis=-1)
+    faster = faster.reshape(1 + steps, -1)
     before = speed[:-1]
     faster_before = faster[:-1]
 
     # dheading_k [states, controls].
-    heading = _accumulate(car[2], (before * omega if curved else omega) * dt)
+    yaw_rate = before * omega if curved else omega
+    heading = _accumulate(car[2], yaw_rate * dt)
     if curved:
         yaw = before[:, None] * of_omega + omega[:, None] * faster_before
     else:
@@ -222,7 +220,8 @@ def rollout_jacobian(
     turned = earlier @ yaw * dt
 
     # dd_l [steps, controls].
-    distance = before * dt + (acceleration - dynamics.drag * before) * (dt**2 / 2)
+    after_friction = acceleration - dynamics.drag * before
+    distance = before * dt + after_friction * (dt**2 / 2)
     coasting = faster_before * dt
     harder = of_acceleration - dynamics.drag * faster_before
     farther = coasting + harder * (dt**2 / 2)
@@ -231,9 +230,12 @@ def rollout_jacobian(
     cosine = jnp.cos(heading)[:, None]
     sine = jnp.sin(heading)[:, None]
     turning = distance[:, None] * turned[:-1]
-    x = earlier @ (cosine[:-1] * farther - sine[:-1] * turning)
-    y = earlier @ (sine[:-1] * farther + cosine[:-1] * turning)
-    return jnp.stack([x, y, -sine * turned, cosine * turned, faster])[:, 1:]
+    cosine_before = cosine[:-1]
+    sine_before = sine[:-1]
+    x = earlier @ (cosine_before * farther - sine_before * turning)
+    y = earlier @ (sine_before * farther + cosine_before * turning)
+    fields = jnp.stack([x, y, -sine * turned, cosine * turned, faster])
+    return fields[:, 1:]  # without the initial state
 
 
 def speeds(
@@ -247,7 +249,8 @@ def speeds(
     """
     # The share of a speed that friction leaves after a step.
     left = 1 - dynamics.drag * dynamics.time_step
-    return _accumulate(speed, accelerations * dynamics.time_step, left)
+    changes = accelerations * dynamics.time_step
+    return _accumulate(speed, changes, left)
 
 
 def _accumulate(
@@ -260,9 +263,11 @@ def _accumulate(
     Each step multiplies the sum by ``left``, if given. Unlike a small matrix product,
     XLA fuses this.
     """
-    shares = _step_weights(changes.shape[-1], left)
+    steps = changes.shape[-1]
+    weights = _step_weights(steps, left)  # [states, terms]
     terms = jnp.concatenate([initial[..., None], changes], axis=-1)
-    return jnp.sum(shares * terms[..., None, :], axis=-1)
+    weighed = weights * terms[..., None, :]
+    return jnp.sum(weighed, axis=-1)
 
 
 def _step_weights(
@@ -273,7 +278,9 @@ def _step_weights(
     terms = np.arange(1 + steps)
     age = terms[:, None] - terms  # negative for changes after the state
     counts = (age >= 0).astype(float)
-    return counts if left is None else counts * left ** np.maximum(age, 0.0)
+    if left is None:
+        return counts
+    return counts * left ** np.maximum(age, 0.0)
 
 
 def within_grip(
@@ -303,12 +310,15 @@ def within_grip(
     per_omega = speed**2 if dynamics.steering == "curvature" else speed
     friction = _resistance(dynamics, speed)
     omega = control[..., 0] + turn
-    acceleration = xp.maximum(control[..., 1] - friction, -speed / dynamics.time_step)
+    to_a_stop = -speed / dynamics.time_step
+    acceleration = xp.maximum(control[..., 1] - friction, to_a_stop)
 
     # How much of both the tyres hold.
     total = xp.hypot(per_omega * omega, acceleration)
     share = xp.minimum(grip / xp.maximum(total, 1e-6), 1.0)
-    return xp.stack([share * omega - turn, share * acceleration + friction], axis=-1)
+    limited_omega = share * omega - turn
+    limited_acceleration = share * acceleration + friction
+    return xp.stack([limited_omega, limited_acceleration], axis=-1)
 
 
 def coast(dynamics: Dynamics, state: Float[Array, "*cars 4"], steps: int) -> Motion:
@@ -318,7 +328,9 @@ def coast(dynamics: Dynamics, state: Float[Array, "*cars 4"], steps: int) -> Mot
     """
     now = Motion(*(field[..., None] for field in observe(state)))
     distance = now.speed * jnp.arange(1, steps + 1) * dynamics.time_step
-    moved = now._replace(x=now.x + distance * now.cosine, y=now.y + distance * now.sine)
+    x = now.x + distance * now.cosine
+    y = now.y + distance * now.sine
+    moved = now._replace(x=x, y=y)
     return Motion(*jnp.broadcast_arrays(*moved))
 
 
@@ -329,7 +341,9 @@ def keep_velocity(
     """Return the control that keeps speed and heading; it only compensates friction."""
     xp = state.__array_namespace__()
     speed = state[..., 3]
-    return xp.stack([xp.zeros_like(speed), _resistance(dynamics, speed)], axis=-1)
+    omega = xp.zeros_like(speed)
+    acceleration = _resistance(dynamics, speed)
+    return xp.stack([omega, acceleration], axis=-1)
 
 
 def recover_control(
@@ -344,11 +358,13 @@ def recover_control(
     """
     xp = state.__array_namespace__()
     speed = state[..., 3]
-    yaw_rate = without_turns(next_state[..., 2] - state[..., 2]) / dynamics.time_step
+    turned = without_turns(next_state[..., 2] - state[..., 2])
+    yaw_rate = turned / dynamics.time_step
     gained = (next_state[..., 3] - speed) / dynamics.time_step
     acceleration = gained + _resistance(dynamics, speed)
     if dynamics.steering == "yaw_rate":
         return xp.stack([yaw_rate, acceleration], axis=-1)
     moving = speed != 0
-    omega = xp.where(moving, yaw_rate / xp.where(moving, speed, 1.0), 0.0)
+    divisor = xp.where(moving, speed, 1.0)
+    omega = xp.where(moving, yaw_rate / divisor, 0.0)
     return xp.stack([omega, acceleration], axis=-1)

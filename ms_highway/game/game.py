@@ -80,7 +80,7 @@ class Game:
 
     @property
     def payoff(self) -> Payoff:
-        """What plans of the robot climb.
+        """The objective of plans of car 0: the robot, or a human after `swap_roles`.
 
         Under a smooth reward, the robot keeps room to stop before obstacles.
         """
@@ -112,7 +112,8 @@ class Game:
         """
         robot = self.robot
         human = self.human()
-        if (robot.names, robot.user_features) != (human.names, human.user_features):
+        same_names = robot.names == human.names
+        if not same_names or robot.user_features != human.user_features:
             both = f"{', '.join(robot.names)} and {', '.join(human.names)}"
             raise ValueError(
                 f"robot and human have rewards of other features, {both}; build both"
@@ -123,16 +124,17 @@ class Game:
 
 @cache
 def others_of(cars: int) -> Int[np.ndarray, "cars others"]:
-    """Return for each of some cars the numbers of all others, in ascending order."""
-    numbers = np.tile(np.arange(cars), (cars, 1))  # [cars, cars]
-    return numbers[~np.eye(cars, dtype=bool)].reshape(cars, -1)
+    """Return for each of some cars the indices of all others, in ascending order."""
+    indices = np.tile(np.arange(cars), (cars, 1))  # [cars, cars]
+    is_other = ~np.eye(cars, dtype=bool)
+    return indices[is_other].reshape(cars, -1)
 
 
 Result = TypeVar("Result")
 
 
 def each_human(game: Game, function: Callable[[Index], Result]) -> Result:
-    """Compute a function of every human's number; the results get an axis of humans."""
+    """Compute a function of every human's index; the results get an axis of humans."""
     return for_numbers(game.number, function)
 
 
@@ -144,9 +146,11 @@ def pair(game: Game, state: State, human: Index) -> tuple[Game, State]:
     if game.number == 1:
         return game, state
     others = jnp.asarray(others_of(len(state) - 1))[human]
-    robot, rest = jnp.split(jnp.asarray(state), [1])
-    alone = replace(game, humans=_as_only_human(game.human(human)))
-    return alone, jnp.concatenate([robot, rest[human][None], rest[others]])
+    robot, cars = jnp.split(jnp.asarray(state), [1])
+    partner = cars[human][None]
+    only_human = _as_only_human(game.human(human))
+    pair_state = jnp.concatenate([robot, partner, cars[others]])
+    return replace(game, humans=only_human), pair_state
 
 
 def _as_only_human(reward: Reward) -> Reward:
@@ -156,13 +160,16 @@ def _as_only_human(reward: Reward) -> Reward:
 def swap_players(game: Game, state: State, human: Index = 0) -> tuple[Game, State]:
     """Return a human's `pair` from its own side: it is car 0, the robot is car 1."""
     _, state = pair(game, state, human)
-    return swap_roles(game, human), jnp.concatenate([state[1::-1], state[2:]])
+    human_then_robot = state[1::-1]
+    swapped = jnp.concatenate([human_then_robot, state[2:]])
+    return swap_roles(game, human), swapped
 
 
 def swap_roles(game: Game, human: Index = 0) -> Game:
-    """Return the game in which a human plans, and the robot is its only partner.
+    """Return the game in which a human plans as car 0, and the robot is its partner.
 
-    Humans plan by the robot's solver, but anew in every step and without its ease.
+    Other humans count as scripted. Humans plan by the robot's solver, but anew in every
+    step and without its ease.
     """
     planner = replace(game.planner, solver=game.planner.solver.of_human())
     return replace(
@@ -179,8 +186,8 @@ def constant_velocity(
 ) -> Float[SameArray, "*cars steps 2"]:
     """Return the scaled controls that keep speed and heading over the horizon."""
     xp = cars.__array_namespace__()
-    control = keep_velocity(game.dynamics, cars)[..., None, :]
-    scaled = control / game.planner.control_scale
+    control = keep_velocity(game.dynamics, cars)
+    scaled = control[..., None, :] / game.planner.control_scale
     return xp.repeat(scaled, game.planner.horizon, axis=-2)
 
 
@@ -192,15 +199,16 @@ def bounded(game: Game, car: Car, controls: ManyControls) -> ManyControls:
     quarter. Executed controls never do.
     """
     planner = game.planner
-    limit = jnp.asarray(planner.control_limit) / jnp.asarray(planner.control_scale)
+    scale = jnp.asarray(planner.control_scale)
+    limit = jnp.asarray(planner.control_limit) / scale
     controls = jnp.clip(controls, -limit, limit)
     if planner.grip is None:
         return controls
     bend = 0.0 if game.scene.bend is None else game.scene.bend
     physical = controls * planner.control_scale
     grip = jnp.asarray(planner.grip)
-    held = _plans_within_grip(game.dynamics, grip, jnp.asarray(bend), car, physical)
-    return held / planner.control_scale
+    limited = _plans_within_grip(game.dynamics, grip, jnp.asarray(bend), car, physical)
+    return limited / planner.control_scale
 
 
 @jax.jit
@@ -213,8 +221,9 @@ def _plans_within_grip(
 ) -> Float[jax.Array, "*batch steps 2"]:
     """Limit controls at the speeds that they would lead to without a limit."""
     now = jnp.broadcast_to(car[3], controls.shape[:-2])
-    speed = jnp.maximum(speeds(dynamics, now, controls[..., 1])[..., :-1], 0.0)
-    return within_grip(dynamics, grip, speed, controls, bend)
+    unlimited = speeds(dynamics, now, controls[..., 1])
+    before = jnp.maximum(unlimited[..., :-1], 0.0)
+    return within_grip(dynamics, grip, before, controls, bend)
 
 
 def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
@@ -233,13 +242,17 @@ def discomfort(game: Game, car: Car, controls: Controls) -> Scalar:
         # Lateral acceleration is v^2 omega with curvatures, v omega with yaw rates.
         pace = jnp.minimum(jnp.abs(car[3]) / game.robot.speed_limit, 1.0)
         steering = pace**4 if game.dynamics.steering == "curvature" else pace**2
-        comfort = comfort + solver.ease * jnp.stack([steering, jnp.ones_like(pace)])
-    return jnp.sum(comfort * (controls - keeping) ** 2) / 2
+        acceleration = jnp.ones_like(pace)
+        comfort = comfort + solver.ease * jnp.stack([steering, acceleration])
+    squares = (controls - keeping) ** 2
+    return jnp.sum(comfort * squares) / 2
 
 
 def move(game: Game, car: Car, controls: Controls) -> Trajectory:
     """Return the trajectory of a car under scaled controls."""
-    return jnp.stack(rollout(game.dynamics, car, controls * game.planner.control_scale))
+    physical = controls * game.planner.control_scale
+    motion = rollout(game.dynamics, car, physical)
+    return jnp.stack(motion)
 
 
 def move_jacobian(
@@ -276,8 +289,10 @@ def with_scripted(
         state: all cars now.
         players: trajectories of the first cars after car 0.
     """
-    scripted = coast(game.dynamics, state[1 + len(players) :], players.shape[-1])
-    return jnp.concatenate([players, jnp.stack(scripted, axis=1)])
+    cars = state[1 + len(players) :]
+    steps = players.shape[-1]
+    scripted = jnp.stack(coast(game.dynamics, cars, steps), axis=1)
+    return jnp.concatenate([players, scripted])
 
 
 def step_rewards(
@@ -296,9 +311,11 @@ def step_rewards(
         robot: scaled controls of the robot.
         humans: scaled controls of the humans.
     """
-    humans_paths = move_all(game, state[1 : 1 + len(humans)], humans)
-    others = with_scripted(game, state, humans_paths)
-    return payoff.steps(move(game, state[0], robot), others)
+    human_cars = state[1 : 1 + len(humans)]
+    human_paths = move_all(game, human_cars, humans)
+    others = with_scripted(game, state, human_paths)
+    path = move(game, state[0], robot)
+    return payoff.steps(path, others)
 
 
 def total_reward(

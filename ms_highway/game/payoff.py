@@ -1,24 +1,24 @@
 """Sum a car's reward over its trajectory among those of others, and differentiate it.
 
-The payoff of a plan for seconds includes the cost of stopping too late before obstacles
-(`stopping_cost`), as horizons end before an obstacle matters. Without this cost, a car
-drives fast until the obstacle is within the horizon, brakes as hard as tyres allow, and
-stops too close to the obstacle to steer around it.
+The payoff of plans under a smooth reward includes the cost of stopping too late before
+obstacles (`stopping_cost`), as horizons end before an obstacle matters. Without this
+cost, a car drives fast until the obstacle is within the horizon, brakes as hard as
+tyres allow, and stops too close to the obstacle to steer around it.
 
-The matrix `Payoff.curvature` is positive semidefinite and takes the place of minus the
-Hessian, without eigenvalues. Most features are concave functions of quantities that are
-taken as linear in the motion (Gauss-Newton), so their sum is positive semidefinite.
-Closeness to a body differs: it is a convex cost of a distance that is a square itself,
-so the reward bends upwards between the two ways around the body. The magnitude of this
-part is taken, as in the saddle-free Newton step of Dauphin et al. (2014). The matrix C
-then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step ``C^-1 g`` at most
-doubles the difference between two plans. Smooth indicators of a lane, induced braking
-and user-defined features have no such form: they are left out, and plans take short
-steps up them.
+The matrix C, `Payoff.curvature`, is positive semidefinite. It takes the place of minus
+the Hessian and needs no eigenvalues. Most features are concave functions of quantities
+that are taken as linear in the motion (Gauss-Newton), so their sum is positive
+semidefinite. Closeness to a body differs: it is a convex cost of a distance that is a
+square itself, so the reward has a minimum between the two ways around the body. The
+magnitude of this part is taken, as in the saddle-free Newton step of Dauphin et al.
+(2014). C then bounds the Hessian H of closeness, ``-C <= H <= C``, and a step
+``C^-1 g`` along the gradient g at most doubles the difference between two plans. Smooth
+indicators of a lane, induced braking and user-defined features have no such form: they
+are left out, and plans take short steps up them.
 
 On physical ground, smooth plans also pay near other bodies (`ms_highway.game.contact`),
-whatever the weights of the reward. This cost is convex in a distance D; how D bends is
-left out of C, so that C bounds the Hessian from above alone.
+whatever the weights of the reward. This cost is convex in a distance D; second
+derivatives of D are left out of C, so that C bounds the Hessian from above alone.
 """
 
 from collections.abc import Callable
@@ -95,7 +95,7 @@ def stopping_cost(scene: Scene, braking: Scalar, own: Motion) -> Times:
         own: motion of the car, arrays [steps].
 
     Returns:
-        An array [steps], zero except in the step half-way.
+        An array [steps], zero except in the middle step: a plan pays it once.
     """
     return jnp.sum(lateness(scene, braking, own) ** 2, axis=0)
 
@@ -107,13 +107,15 @@ def lateness(
 ) -> Float[jax.Array, "obstacles steps"]:
     """Return r of `stopping_cost` for each obstacle, zero except in the middle step."""
     obstacle_x, obstacle_y = jnp.asarray(scene.obstacles).T[..., None]
-    car_length, car_width = jnp.asarray(scene.car_size)
-    length, width = (jnp.asarray(scene.car_size) + jnp.asarray(scene.obstacle_size)) / 2
+    car_size = jnp.asarray(scene.car_size)
+    car_length, car_width = car_size
+    length, width = (car_size + jnp.asarray(scene.obstacle_size)) / 2
     gap = obstacle_x - own.x  # dx, between centres
 
     # soft(d): how much too late the car would stop.
     stopping_distance = own.speed**2 / (2 * braking)
-    too_far = (stopping_distance + length - gap) / car_length + STOPPING.room
+    missing_room = (stopping_distance + length - gap) / car_length
+    too_far = missing_room + STOPPING.room
     late = soft_positive(too_far, STOPPING.smoothing)
 
     # soft(1 - (dy / w)^2): how much the obstacle is in the car's way.
@@ -163,8 +165,8 @@ class Payoff:
     Attributes:
         scene: road, obstacles and bodies.
         reward: of the car.
-        braking: deceleration with which the car keeps room to stop before obstacles,
-            see `stopping_cost`, at the price of a collision; None without this cost.
+        braking: deceleration with which the car keeps room to stop before obstacles;
+            None without the `stopping_cost`, which the price of a collision weighs.
         smooth: whether jumps of the reward are smooth (static).
     """
 
@@ -189,7 +191,8 @@ class Payoff:
         if self.braking is None:
             return rewards
         price = self.reward.price("collision")
-        return rewards - price * stopping_cost(self.scene, self.braking, motion)
+        lateness_cost = stopping_cost(self.scene, self.braking, motion)
+        return rewards - price * lateness_cost
 
     @jax.jit
     def total(self, own: Trajectory, others: Trajectories) -> Scalar:
@@ -202,23 +205,26 @@ class Payoff:
         own: Trajectory,
         others: Trajectories,
     ) -> tuple[Trajectory, Trajectories]:
-        """Differentiate the sum in the car's trajectory, and in those of others."""
-        return jax.grad(lambda *paths: self.total(*paths), argnums=(0, 1))(own, others)
+        """Return the gradients in the car's trajectory, and in those of others."""
+        gradients = jax.grad(lambda *paths: self.total(*paths), argnums=(0, 1))
+        return gradients(own, others)
 
     @jax.jit
     def second_order(self, own: Trajectory, others: Trajectories) -> SecondOrder:
         """Differentiate the sum twice, in as many directions as a motion has fields."""
 
-        def slopes(own: Trajectory) -> tuple[Trajectory, Trajectory]:
-            slope, around = self.slopes(own, others)
-            return slope, around[0]
+        def gradients(own: Trajectory) -> tuple[Trajectory, Trajectory]:
+            own_gradient, gradients_of_others = self.slopes(own, others)
+            return own_gradient, gradients_of_others[0]
 
-        (gradient, _), (hessian, mixed_hessian) = along_fields(slopes, own)
+        values, derivatives = along_fields(gradients, own)
+        gradient, _ = values
+        hessian, mixed_hessian = derivatives
         return SecondOrder(gradient, hessian, mixed_hessian)
 
     @jax.jit
     def curvature(self, own: Trajectory, others: Trajectories) -> HessianBlocks:
-        """Return a convex matrix in place of minus the Hessian of the sum.
+        """Return a positive semidefinite approximation of minus the Hessian of the sum.
 
         It is in the fields of the car's trajectory. For costs ``c_j(q_j)`` of
         quantities q_j, it is ``sum_j max(c_j'', 0) (dq_j/ds) (dq_j/ds)^T``. For the
@@ -233,12 +239,15 @@ class Payoff:
         total = _half_hessian_of_points(own, points, partial(self._closeness, bodies))
         if self.avoids_contact:
             contact = partial(car_residuals, scene, others=around)
-            total = total + _half_hessian_of_points(own, contact_points(scene), contact)
+            corners = contact_points(scene)
+            total = total + _half_hessian_of_points(own, corners, contact)
 
         # All else is a sum of squares of quantities that are taken as linear in the
         # motion.
-        _, slopes = along_fields(partial(self._residuals, around), own)
-        return 2 * (total + jnp.sum(slopes[:, None] * slopes, axis=2))
+        residuals = partial(self._residuals, around)
+        _, slopes = along_fields(residuals, own)  # [fields, residuals, steps]
+        products = slopes[:, None] * slopes
+        return 2 * (total + jnp.sum(products, axis=2))
 
     def _residuals(
         self,
@@ -256,10 +265,13 @@ class Payoff:
         weights = dict(zip(reward.names, jnp.unstack(reward.weights), strict=True))
 
         # Pairs of a weight and a quantity that it weighs the square of.
+        progress = own.speed * own.cosine / reward.speed_limit
+        lane_weight = weights["lane_alignment"] + weights["target_lane"]
+        depth = depth_off_road(scene, own, smooth=True) * per_unit
         costs = [
-            (weights["speed"], own.speed * own.cosine / reward.speed_limit),
-            (weights["lane_alignment"] + weights["target_lane"], own.y * per_unit),
-            (-weights["off_road"], depth_off_road(scene, own, smooth=True) * per_unit),
+            (weights["speed"], progress),
+            (lane_weight, own.y * per_unit),
+            (-weights["off_road"], depth),
         ]
         if scene.leader is not None:
             costs.append((weights["gap"], own.x * per_unit))
@@ -271,19 +283,19 @@ class Payoff:
             pace = share * own.speed / reward.speed_limit
             costs.append((weights["headway"], reach))
             costs.append((weights["closing_speed"], pace))
-        residuals = jnp.stack(
-            [
-                jnp.sqrt(jnp.maximum(weight, 0.0)) * quantity
-                for weight, quantity in costs
-            ]
-        )
+        weighed = []
+        for weight, quantity in costs:
+            root = jnp.sqrt(jnp.maximum(weight, 0.0))
+            weighed.append(root * quantity)
+        residuals = jnp.stack(weighed)
 
         # Costs of plans that the reward does not weigh.
         if self.avoids_contact and len(scene.obstacles):
             residuals = jnp.concatenate([residuals, obstacle_residuals(scene, own)])
         if self.braking is None:
             return residuals
-        late = jnp.sqrt(reward.price("collision")) * lateness(scene, self.braking, own)
+        root_of_price = jnp.sqrt(reward.price("collision"))
+        late = root_of_price * lateness(scene, self.braking, own)
         return jnp.concatenate([residuals, late])
 
     def _closeness(
@@ -291,7 +303,7 @@ class Payoff:
         bodies: Bodies,
         points: PointPlaces,
     ) -> Float[jax.Array, "3 bodies points steps"]:
-        """Return quantities whose squares bend like closeness.
+        """Return quantities whose squares have second derivatives like closeness.
 
         With the offsets p along and q across a body, in halves of its length and width,
         closeness costs ``c(D - 1)`` at ``D = p^2 + q^2``. The quantities are
@@ -308,11 +320,8 @@ class Payoff:
 
         # Derivatives of the cost of the risk, -c' and c'' / 2.
         now = jax.lax.stop_gradient(distance)
-        risk = (
-            self.reward.price("collision_risk")
-            * bodies.share
-            * jnp.exp(-bodies.sharpness * now)
-        )
+        risk_price = self.reward.price("collision_risk") * bodies.share
+        risk = risk_price * jnp.exp(-bodies.sharpness * now)
         fall = bodies.sharpness * risk
         half_second = bodies.sharpness**2 * risk / 2
 
@@ -346,9 +355,9 @@ def _half_hessian_of_points(
 
     def places_of(path: Trajectory) -> PointPlaces:
         x, y, cosine, sine, _ = path
-        return jnp.stack(
-            [x + cosine * along - sine * across, y + sine * along + cosine * across]
-        )
+        point_x = x + cosine * along - sine * across
+        point_y = y + sine * along + cosine * across
+        return jnp.stack([point_x, point_y])
 
     # Derivatives of the places in the fields, and of the residuals in the places.
     places, place_slopes = along_fields(places_of, own)
@@ -357,7 +366,8 @@ def _half_hessian_of_points(
     # Gauss-Newton: products of slopes, summed over residuals but not points. A sum is
     # one kernel, unlike an einsum.
     rows = tuple(range(2, residual_slopes.ndim - 1))
-    bends = jnp.sum(residual_slopes[:, None] * residual_slopes, axis=rows)
+    products = residual_slopes[:, None] * residual_slopes
+    hessians = jnp.sum(products, axis=rows)  # [coordinates, coordinates, points, steps]
 
     # Chain rule, summed over points: f and g are fields, a and b coordinates of places.
-    return jnp.einsum("fapt,abpt,gbpt->fgt", place_slopes, bends, place_slopes)
+    return jnp.einsum("fapt,abpt,gbpt->fgt", place_slopes, hessians, place_slopes)

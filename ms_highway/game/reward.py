@@ -66,8 +66,8 @@ class Reward:
             scaled control from the one that keeps the velocity.
         names: of the features that are computed: `PAPER_FEATURES` or `FEATURES`, then
             user-defined ones (static).
-        user_features: functions of the user-defined features, in the order of the last names
-            (static).
+        user_features: functions of the user-defined features, in the order of the last
+            names (static).
         headway: time gap between bumpers that the headway feature wants, besides 2 m
             [s].
     """

@@ -117,11 +117,13 @@ class Scene:
             known = ", ".join(get_args(Contact))
             raise ValueError(f"Scene.contact is {self.contact!r}; give one of {known}")
         size = self.car_size
-        if isinstance(size, np.ndarray) and not ((size > 0) & (size < np.inf)).all():
-            raise ValueError(
-                f"Scene.car_size is {size.tolist()}; give length and width in metres,"
-                " both positive"
-            )
+        if isinstance(size, np.ndarray):
+            is_possible = (size > 0) & (size < np.inf)
+            if not is_possible.all():
+                raise ValueError(
+                    f"Scene.car_size is {size.tolist()}; give length and width in"
+                    " metres, both positive"
+                )
         width = self.lane_width
         is_known = isinstance(width, (int, float, np.ndarray, np.number))
         if is_known and not np.all(np.asarray(width) >= 0):
@@ -139,7 +141,8 @@ class Scene:
             object.__setattr__(self, name, value)
         if not isinstance(value, np.ndarray):
             return  # an array of JAX
-        fits = value.ndim >= len(shape) and shape[-1] in ("n", value.shape[-1])
+        has_axes = value.ndim >= len(shape)
+        fits = has_axes and shape[-1] in ("n", value.shape[-1])
         if not fits or np.isnan(value).any():
             wanted = ", ".join(map(str, shape))
             raise ValueError(
@@ -181,14 +184,18 @@ def places(
 
     # Which place each car is at [*batch, cars, 6].
     offset = others[..., :2] - driver[..., None, :2]
-    lane = xp.round(offset[..., 1] / xp.asarray(lane_width)[..., None])
+    widths = xp.asarray(lane_width)[..., None]
+    lane = xp.round(offset[..., 1] / widths)
     ahead = offset[..., 0] > 0
     in_lane = lane[..., None] == lanes_to_right
-    fits = in_lane & (ahead[..., None] == is_ahead) & present[..., None]
+    on_side = ahead[..., None] == is_ahead
+    fits = in_lane & on_side & present[..., None]
 
     # The nearest car at each place [*batch, 6].
-    distance = xp.where(fits, xp.abs(offset[..., :1]), xp.inf)
-    return xp.argmin(distance, axis=-2), xp.any(fits, axis=-2)
+    along = xp.abs(offset[..., :1])
+    distance = xp.where(fits, along, xp.inf)
+    nearest = xp.argmin(distance, axis=-2)
+    return nearest, xp.any(fits, axis=-2)
 
 
 def neighbours(
@@ -204,7 +211,8 @@ def neighbours(
     xp = driver.__array_namespace__()
     cars, taken = places(driver, others, present, lane_width)
     found = xp.take_along_axis(others, cars[..., None], axis=-2)
-    return xp.where(taken[..., None], found, far_behind(driver)[..., None, :])
+    absent = far_behind(driver)[..., None, :]
+    return xp.where(taken[..., None], found, absent)
 
 
 def headways(
@@ -232,8 +240,10 @@ def headways(
 def far_behind(driver: Float[SameArray, "*batch 4"]) -> Float[SameArray, "*batch 4"]:
     """Return the state of a standing car that is too far behind a driver to matter."""
     xp = driver.__array_namespace__()
-    zero = xp.zeros_like(driver[..., 0])
-    return xp.stack([driver[..., 0] - FAR_AWAY, driver[..., 1], zero, zero], axis=-1)
+    x = driver[..., 0] - FAR_AWAY
+    y = driver[..., 1]
+    zero = xp.zeros_like(y)
+    return xp.stack([x, y, zero, zero], axis=-1)
 
 
 class Leader(NamedTuple):
@@ -271,6 +281,9 @@ def leaders(
             [m].
     """
     xp = others.__array_namespace__()
-    distance = others[..., None, :, 0] - x[..., None]  # [*batch, cars, others]
-    in_lane = xp.abs(others[..., None, :, 1] - lane[..., None]) <= reach
+    others_x = others[..., None, :, 0]
+    others_y = others[..., None, :, 1]
+    distance = others_x - x[..., None]  # [*batch, cars, others]
+    offset = others_y - lane[..., None]
+    in_lane = xp.abs(offset) <= reach
     return nearest_ahead(distance, counts & in_lane)
