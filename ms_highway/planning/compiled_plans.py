@@ -103,7 +103,8 @@ def plan_for(
     responders = assigned_responders(models, game, rungs)
     responds = responders.steps > 0
     humans = jnp.where(responds[:, None, None], begin.humans, expected)
-    return joint_ascent(Interaction(game, state, responders), Plan(begin.robot, humans))
+    interaction = Interaction(game, state, responders)
+    return joint_ascent(interaction, Plan(begin.robot, humans))
 
 
 def _plan_for_one(
@@ -125,7 +126,8 @@ def _plan_for_one(
     own_game = within(model, game)
     if model.responds:
         everybody = KnownResponders(tuple(range(game.number)))
-        return joint_ascent(Interaction(own_game, state, everybody), begin)
+        interaction = Interaction(own_game, state, everybody)
+        return joint_ascent(interaction, begin)
     return plan_against(own_game, state, expected, begin)
 
 
@@ -154,15 +156,15 @@ def _with_predictions(
         begin = None  # plans up a smooth reward find their own start
         if not game.planner.solver.smooth:
             begin = Plan(start.robot, start.humans[human][None])
-        return scaled_prediction(model, *pair(game, state, human), begin)
+        own_game, own_state = pair(game, state, human)
+        return scaled_prediction(model, own_game, own_state, begin)
+
+    def with_prediction(human: Index, humans: jax.Array) -> jax.Array:
+        return humans.at[human].set(predict(human))
 
     if chosen is None:
         return for_numbers(game.number, predict)
-    return for_each(
-        chosen,
-        lambda human, humans: humans.at[human].set(predict(human)),
-        jnp.asarray(expected),
-    )
+    return for_each(chosen, with_prediction, jnp.asarray(expected))
 
 
 def _with_own_starts(
@@ -216,7 +218,8 @@ def assigned_responders(
     alone = [solver.most_steps(responds=False) for solver in solvers]
 
     # By human.
-    responds = jnp.array([model.responds for model in models])[rungs]
+    rungs_respond = jnp.array([model.responds for model in models])
+    responds = rungs_respond[rungs]
     joint_steps = _of_rungs(joint, rungs)
     steps_alone = _of_rungs(alone, rungs)
 
@@ -230,10 +233,13 @@ def assigned_responders(
     # Each human's gradient steps have the length of its model, the robot's that of the
     # leading model.
     own_sizes = [solver.step_size for solver in solvers if isinstance(solver, Ascent)]
-    if not own_sizes or all(solver is game.planner.solver for solver in solvers):
+    are_usual = all(solver is game.planner.solver for solver in solvers)
+    if not own_sizes or are_usual:
         return AssignedResponders(order, steps, robot_steps)
-    sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])[rungs]
-    leading = jnp.argmax(jnp.where(longest > 0, steps, steps_alone))
+    rung_sizes = jnp.stack([jnp.asarray(size, jnp.float32) for size in own_sizes])
+    sizes = rung_sizes[rungs]
+    steps_of_robot = jnp.where(longest > 0, steps, steps_alone)
+    leading = jnp.argmax(steps_of_robot)
     return AssignedResponders(order, steps, robot_steps, sizes, sizes[leading])
 
 
@@ -297,11 +303,14 @@ class CompiledPlans:
         if start is None and self._continues:
             start = cold_start(self.game, np.asarray(state))
 
-        # A program of one model does not take the rungs: passing them takes time.
         models = self.ladder
         if self._function_of_each:
             models = (self.ladder[int(rungs[0])],)
-        traced_rungs = np.asarray(rungs, np.int32) if len(models) > 1 else None
+
+        # A program of one model does not take the rungs: passing them takes time.
+        traced_rungs = None
+        if len(models) > 1:
+            traced_rungs = np.asarray(rungs, np.int32)
         arguments = (self._arguments.take(), state, traced_rungs, start)
         return plan_function(models).of(*arguments), *arguments
 
@@ -317,8 +326,11 @@ class CompiledPlans:
 
         # Run each function once, with all humans on the same rung.
         functions = len(self.ladder) if self._function_of_each else 1
-        assignments = [[rung] * self.game.number for rung in range(functions)]
-        seconds = sum((warm_up(*self.call(state, rungs)) for rungs in assignments), 0.0)
+        seconds = 0.0
+        for rung in range(functions):
+            rungs = [rung] * self.game.number
+            function, *arguments = self.call(state, rungs)
+            seconds += warm_up(function, *arguments)
         if way_out:
             control = np.zeros(2, np.float32)
             seconds += warm_up(escape, self._arguments.take(), state, control)
@@ -347,9 +359,9 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
     """Plan in one situation: return controls of the robot, and those it expects.
 
     They are arrays [steps, 2] of the robot and [humans, steps, 2] of the humans.
-    Controls are curvatures [1/m] and accelerations before friction [m/s^2]: with the
-    paper's friction, 4 m/s^2 keep 20 m/s. Compiled once for all games of the same
-    shapes.
+    Controls are curvatures [1/m], or yaw rates [rad/s] under ``steering="yaw_rate"`` of
+    the game's dynamics, and accelerations before friction [m/s^2]: with the paper's
+    friction, 4 m/s^2 keep 20 m/s. Compiled once for all games of the same shapes.
 
     Args:
         game: what is played, see `ms_highway.game.scenario`.
@@ -364,10 +376,8 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
             it.
     """
     if not isinstance(game, Game):
-        raise TypeError(
-            f"the game is {game!r}; make a ms_highway.Game with ms_highway.build_game"
-            " or driving_game"
-        )
+        remedy = "make a ms_highway.Game with ms_highway.build_game or driving_game"
+        raise TypeError(f"the game is {game!r}; {remedy}")
     refuse_after_fork()
     known = human_model(model) if isinstance(model, str) else model
     now = checked_state(state)
@@ -377,9 +387,13 @@ def plan(game: Game, state: State, model: HumanModel | str = "tom") -> Plan:
             " humans"
         )
     check_user_features(game.scene, game.robot, game.number, now)
-    solution, _ = CompiledPlans(game, [known]).plan(now, [0] * game.number)
+    plans = CompiledPlans(game, [known])
+    solution, _ = plans.plan(now, [0] * game.number)
+    scaled = solution.plan
+
+    # In SI units.
     scale = np.asarray(game.planner.control_scale, dtype=float)
-    return Plan(solution.plan.robot * scale, solution.plan.humans * scale)
+    return Plan(scaled.robot * scale, scaled.humans * scale)
 
 
 def checked_state(state: State) -> State:
@@ -407,5 +421,7 @@ def checked_state(state: State) -> State:
     car, column = np.argwhere(~is_finite)[0]
     value = state[car, column]
     name = ["x", "y", "heading", "speed"][column]
-    why = ", too large for single precision" if np.isfinite(value) else ""
+    why = ""
+    if np.isfinite(value):
+        why = ", too large for single precision"
     raise ValueError(f"the state of car {car} is not finite: {name} is {value}{why}")

@@ -50,17 +50,21 @@ class Costs:
             raise ValueError(f"Costs.of is given {seconds!r}; {remedy}")
         names = tuple(seconds)
         whole = np.array([seconds[name] for name in names], dtype=float)
-        base = float(whole[0]) if humans > 1 and names else 0.0
-        return cls(base, whole - base, names)
+
+        # With one human, T(M) is of the whole plan.
+        base = 0.0
+        if humans > 1 and names:
+            base = float(whole[0])
+        each = whole - base
+        return cls(base, each, names)
 
     @property
     def seconds(self) -> dict[str, float]:
         """Known values of T(M) by name [s], in the form that `of` takes."""
-        whole = (self.base + np.asarray(self.each)).tolist()
-        named = dict(zip(self.names, whole, strict=True))
-        return {
-            name: seconds for name, seconds in named.items() if not np.isnan(seconds)
-        }
+        whole = self.base + np.asarray(self.each)
+        known = ~np.isnan(whole)
+        by_rung = zip(self.names, whole.tolist(), known, strict=True)
+        return {name: seconds for name, seconds, is_known in by_rung if is_known}
 
     def select(self, names: Iterable[str]) -> "Costs":
         """Return the costs of these models in this order, NaN where unknown."""
@@ -75,10 +79,14 @@ class Costs:
         It is None if T is unknown.
         """
         each = self._each_by_name()
-        if not each.keys() >= {*names}:
+        are_known = each.keys() >= {*names}
+        if not are_known:
             return None
-        total = float(self.base + sum(each[name] for name in names))
-        return None if np.isnan(total) else total
+        added = sum(each[name] for name in names)
+        total = float(self.base + added)
+        if np.isnan(total):
+            return None
+        return total
 
     def total(self, rungs: Int[Array, "*plans humans"]) -> Float[Array, "*plans"]:
         """Return T of plans that predict humans by these rungs.
@@ -86,11 +94,14 @@ class Costs:
         The result is an array of NumPy or JAX, like the rungs; NaN where T is unknown.
         """
         xp = namespace(rungs)
-        return self.base + xp.sum(xp.asarray(self.each)[rungs], axis=-1)
+        by_rung = xp.asarray(self.each)
+        by_human = by_rung[rungs]  # [*plans, humans]
+        return self.base + xp.sum(by_human, axis=-1)
 
     def _each_by_name(self) -> dict[str, float]:
         """Return the time that a human adds under each model."""
-        return dict(zip(self.names, np.asarray(self.each).tolist(), strict=True))
+        each = np.asarray(self.each).tolist()
+        return dict(zip(self.names, each, strict=True))
 
 
 UNKNOWN = Costs(0.0, np.zeros(0), ())
@@ -123,11 +134,13 @@ def measure_costs(
     plans.warm_up(now, way_out)
 
     def once(rung: int) -> float:
-        solution, seconds = plans.plan(now, [rung] * game.number)
+        rungs = [rung] * game.number
+        solution, planning = plans.plan(now, rungs)
         if not way_out:
-            return seconds
-        _, searching = plans.keep_way_out(now, solution.plan.robot[0])
-        return seconds + searching
+            return planning
+        control = solution.plan.robot[0]
+        _, checking = plans.keep_way_out(now, control)
+        return planning + checking
 
     # Seconds of whole plans, with all humans on each rung.
     rungs = range(len(ladder))

@@ -44,8 +44,8 @@ class HumanModel:
     """A rung of the ladder; hashable, as a plan is compiled once per model.
 
     A model predicts the human, by `predict`, or it ``responds``: then the human
-    improves its own controls in every step of the robot's plan, alone and among several
-    humans, in the steps of `solver` from `start`.
+    improves its own controls in every step of the ascent that plans for the robot,
+    alone and among several humans, in the steps of `solver` from `start`.
 
     Attributes:
         name: in configurations and reports, with the effort; that of the class is
@@ -63,7 +63,9 @@ class HumanModel:
 
     def __post_init__(self) -> None:
         """Add the effort to the name."""
-        effort = (f"@{self.steps}" if self.steps else "") + "+warm" * self.warm
+        of_steps = f"@{self.steps}" if self.steps else ""
+        of_start = "+warm" if self.warm else ""
+        effort = of_steps + of_start
         if effort:
             object.__setattr__(self, "name", type(self).name + effort)
 
@@ -131,14 +133,16 @@ class HumanModel:
             start: scaled plan that the robot's starts from; None for a cold start.
 
         Returns:
-            Curvature omega [1/m] and acceleration a before friction [m/s^2] of each
-            step, [horizon, 2].
+            Curvature omega [1/m], or yaw rate [rad/s] under ``steering="yaw_rate"`` of
+            `ms_highway.game.dynamics.Dynamics`, and acceleration a before friction
+            [m/s^2] of each step, [horizon, 2].
         """
         if not self.responds:
             raise NotImplementedError(f"human model {self.name!r} defines no `predict`")
         last = cold_start(game, state) if start is None else start
         begin = own_start(self, game, state, last)
-        solution = joint_ascent(Interaction(game, state, KnownResponders((0,))), begin)
+        interaction = Interaction(game, state, KnownResponders((0,)))
+        solution = joint_ascent(interaction, begin)
         return solution.plan.humans[0] * game.planner.control_scale
 
 
@@ -156,7 +160,8 @@ class Naive(PredictedHuman):
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the controls that keep the human's speed and heading."""
         control = keep_velocity(game.dynamics, state[1])
-        return control.__array_namespace__().tile(control, (game.planner.horizon, 1))
+        xp = control.__array_namespace__()  # of NumPy or JAX
+        return xp.tile(control, (game.planner.horizon, 1))
 
 
 @dataclass(frozen=True)
@@ -174,8 +179,9 @@ class IntelligentDriver(PredictedHuman):
 
         def follow(state: jax.Array, _: None) -> tuple[jax.Array, Control]:
             control = following_control(game, state)
-            kept = keep_velocity(game.dynamics, state)
-            return step(game.dynamics, state, kept.at[1].set(control)), control
+            steady = keep_velocity(game.dynamics, state)
+            controls = steady.at[1].set(control)
+            return step(game.dynamics, state, controls), control
 
         start_state = jnp.asarray(state)
         _, controls = jax.lax.scan(follow, start_state, None, game.planner.horizon)
@@ -193,11 +199,14 @@ def following_control(game: Game, state: State) -> Control:
     in_lane = jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
     leader, leads = nearest_ahead(offset[:, 0], in_lane)
 
-    # Between bumpers.
+    # The gap between bumpers.
     length = jnp.asarray(scene.car_size)[0]
-    gap = jnp.where(leads, offset[leader, 0] - length, FREE_GAP)
+    to_leader = offset[leader, 0] - length
+    gap = jnp.where(leads, to_leader, FREE_GAP)
+
     limit = jnp.asarray(game.humans.speed_limit)
-    change = STREAM_IDM.acceleration(own[3], limit, gap, others[leader, 3])
+    leader_speed = others[leader, 3]
+    change = STREAM_IDM.acceleration(own[3], limit, gap, leader_speed)
     return keep_velocity(game.dynamics, own).at[1].add(change)
 
 
@@ -212,7 +221,9 @@ class Turn(PredictedHuman):
 
     def predict(self, game: Game, state: State, start: Plan | None = None) -> Controls:
         """Return the human's plan against a robot that keeps its velocity."""
-        mirrored = None if start is None else Plan(start.humans[0], start.robot[None])
+        mirrored = None
+        if start is not None:
+            mirrored = Plan(start.humans[0], start.robot[None])
         own_game, own_state = swap_players(game, state)
         solution = plan_alone(own_game, own_state, mirrored)
         return solution.plan.robot * game.planner.control_scale
@@ -222,7 +233,7 @@ class Turn(PredictedHuman):
 class TheoryOfMind(HumanModel):
     """The human responds optimally to the robot's plan, and the robot anticipates that.
 
-    See `ms_highway.planning.joint`.
+    This is a Stackelberg game, see `ms_highway.planning.joint`.
     """
 
     name: ClassVar[str] = "tom"
@@ -261,10 +272,12 @@ def scaled_prediction(
     Raises:
         ValueError: if a registered model does not predict [horizon, 2] numbers.
     """
-    controls = model.predict(within(model, game), state, start)
+    own_game = within(model, game)
+    controls = model.predict(own_game, state, start)
     if is_of_package(model):
         return controls / game.planner.control_scale
-    return _scaled_within_limits(game, state[1], _checked(model, game, controls))
+    checked = _checked(model, game, controls)
+    return _scaled_within_limits(game, state[1], checked)
 
 
 def own_solver(model: HumanModel, game: Game) -> Solver:
@@ -277,32 +290,33 @@ def own_solver(model: HumanModel, game: Game) -> Solver:
     solver = model.solver(game)
     usual = game.planner.solver
     kind = type(usual).__name__
-    steps = ("steps", "joint_steps")
+    free_fields = ("steps", "joint_steps")
     if isinstance(usual, Ascent):
-        steps = ("iterations", "step_size")
+        free_fields = ("iterations", "step_size")
+    first, second = free_fields
+    subject = f"human model {model.name!r} plans"
 
     # It is the planner's kind of solver.
     if type(solver) is not type(usual):
-        remedy = (
-            f"return game.planner.solver, a {kind}, with other {steps[0]} or {steps[1]}"
-        )
-        raise ValueError(f"human model {model.name!r} plans by {solver!r}; {remedy}")
+        remedy = f"return game.planner.solver, a {kind}, with other {first} or {second}"
+        raise ValueError(f"{subject} by {solver!r}; {remedy}")
 
     # It differs in its steps alone.
     for each in fields(usual):
-        own = getattr(solver, each.name)
-        if each.name not in steps and own is not getattr(usual, each.name):
-            what = f"a solver whose {each.name} is {own!r}, not the planner's"
-            remedy = f"change only {steps[0]} and {steps[1]} of game.planner.solver"
-            raise ValueError(f"human model {model.name!r} plans by {what}; {remedy}")
+        name = each.name
+        own = getattr(solver, name)
+        is_usual = own is getattr(usual, name)
+        if name not in free_fields and not is_usual:
+            what = f"a solver whose {name} is {own!r}, not the planner's"
+            remedy = f"change only {first} and {second} of game.planner.solver"
+            raise ValueError(f"{subject} by {what}; {remedy}")
 
     # It takes some.
     for responds in (False, True):
         most = solver.most_steps(responds)
         if not isinstance(most, int) or most < 1:
             remedy = "give whole numbers of at least 1"
-            what = f"{most!r} steps"
-            raise ValueError(f"human model {model.name!r} plans in {what}; {remedy}")
+            raise ValueError(f"{subject} in {most!r} steps; {remedy}")
     return solver
 
 
@@ -315,29 +329,34 @@ def own_start(model: HumanModel, game: Game, state: State, last: Plan) -> Plan:
     if type(model).start is HumanModel.start:
         return last
     start = model.start(game, state, last)
-    steps = (game.planner.horizon, 2)
+    of_robot = (game.planner.horizon, 2)
+    of_human = (1, *of_robot)
     found = repr(start)
     with suppress(TypeError, ValueError):
         robot, humans = map(jnp.asarray, start)
         found = f"arrays {robot.shape} and {humans.shape}"
-        if robot.shape == steps and humans.shape == (1, *steps):
+        if robot.shape == of_robot and humans.shape == of_human:
             return Plan(robot, humans)
     remedy = (
-        f"return a Plan of scaled controls: the robot's {steps}, and the human's"
-        f" {(1, *steps)}"
+        f"return a Plan of scaled controls: the robot's {of_robot}, and the human's"
+        f" {of_human}"
     )
     raise ValueError(f"human model {model.name!r} starts from {found}; {remedy}")
 
 
 def within(model: HumanModel, game: Game) -> Game:
     """Return the game with the solver of a model."""
-    return replace(game, planner=replace(game.planner, solver=own_solver(model, game)))
+    solver = own_solver(model, game)
+    planner = replace(game.planner, solver=solver)
+    return replace(game, planner=planner)
 
 
 def _scaled_within_limits(game: Game, human: Car, controls: Controls) -> Controls:
     """Scale predicted controls of a human, and cut finite ones to plans' limits."""
     scaled = controls / game.planner.control_scale
-    return jnp.where(jnp.isfinite(scaled), bounded(game, human, scaled), scaled)
+    is_finite = jnp.isfinite(scaled)
+    within_limits = bounded(game, human, scaled)
+    return jnp.where(is_finite, within_limits, scaled)
 
 
 def _checked(model: HumanModel, game: Game, controls: object) -> jax.Array:
@@ -369,7 +388,8 @@ def warn_of_limits(ladder: Iterable[HumanModel], game: Game, state: State) -> No
     for model in ladder:
         if is_of_package(model) or model.responds:
             continue
-        own_game, cars = pair(read_only(within(model, game)), jnp.asarray(state), 0)
+        protected = read_only(within(model, game))
+        own_game, cars = pair(protected, jnp.asarray(state), 0)
         with naming_writes(f"the human model {model.name!r}"):
             controls = model.predict(own_game, cars)
             predicted = np.asarray(_checked(model, own_game, controls))
@@ -391,7 +411,8 @@ def _warn_of_cut(
         kept: what the limits leave of them.
     """
     is_finite = np.isfinite(predicted)
-    is_cut = np.abs(predicted - kept) > 1e-3 * np.abs(predicted)
+    tolerance = 1e-3 * np.abs(predicted)
+    is_cut = np.abs(predicted - kept) > tolerance
     places = np.argwhere(~is_finite | is_cut)
     if not len(places):
         return
