@@ -85,10 +85,10 @@ class Search(NamedTuple):
 
 
 def seen_from(car: States, routes: States) -> tuple[States, Motion]:
-    """Return a driver's state and the motion of the others after each step, with x
-    measured from the driver.
+    """Return a driver's state and the motion of the others, with x from the driver.
 
-    Float32 resolves these better than positions far along the road.
+    The motion is that after each step. Float32 resolves these numbers better than
+    positions far along the road.
 
     Args:
         car: state of the driver.
@@ -96,7 +96,8 @@ def seen_from(car: States, routes: States) -> tuple[States, Motion]:
     """
     origin = np.array([car[0], 0.0, 0.0, 0.0])
     own = jnp.asarray(car - origin, dtype=jnp.float32)
-    return own, observe((routes - origin).astype(np.float32))
+    others = (routes - origin).astype(np.float32)
+    return own, observe(others)
 
 
 def segment_return(game: Game, car: States, others: Motion) -> Objective:
@@ -109,7 +110,9 @@ def segment_return(game: Game, car: States, others: Motion) -> Objective:
     """
 
     def reward(path: Trajectory) -> Scalar:
-        return jnp.sum(motion_reward(game.scene, game.robot, Motion(*path), others))
+        own = Motion(*path)
+        rewards = motion_reward(game.scene, game.robot, own, others)
+        return jnp.sum(rewards)
 
     return Objective(
         path=partial(move, game, car),
@@ -136,9 +139,11 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
     objective = segment_return(game, car, others)
 
     def goes_on(search: Search) -> Flag:
-        moved = (search.steps == 0) | (search.controls != search.last.controls).any()
+        is_new = search.controls != search.last.controls
+        moved = (search.steps == 0) | is_new.any()
         steep = jnp.abs(search.last.gradient).max() > SEARCH.tolerance
-        return moved & (search.steps < SEARCH.max_steps) & steep
+        may_go_on = search.steps < SEARCH.max_steps
+        return moved & may_go_on & steep
 
     def improve(search: Search) -> Search:
         controls = search.controls
@@ -146,21 +151,24 @@ def optimal(game: Game, car: States, others: Motion) -> Optimum:
         # A Newton step uphill.
         expansion = objective.expand(controls)
         gradient = expansion.gradient.reshape(controls.shape)
-        metric = damped_inverse(expansion.hessian, SEARCH.curvature_floor)
-        step = (metric @ gradient.ravel()).reshape(controls.shape)
+        inverse = damped_inverse(expansion.hessian, SEARCH.curvature_floor)
+        step = (inverse @ gradient.ravel()).reshape(controls.shape)
 
         # The share of it that earns most, or all of it where differences are rounding.
         candidates, rewards = objective.search_line(controls, step, SEARCH.shares)
         gains = rewards - rewards[-1]
         noise = SEARCH.noise * (1 + jnp.abs(rewards[-1]))
         settling = (gains.max() <= noise) & (gains[0] >= -noise)
-        chosen = candidates[jnp.where(settling, 0, jnp.argmax(gains))]
+        best = jnp.where(settling, 0, jnp.argmax(gains))
+        chosen = candidates[best]
         here = Optimum(controls, gradient, expansion.hessian)
         return Search(search.steps + 1, chosen, here)
 
     start = objective.bounded(constant_velocity(game, car))
     unknown = Optimum(
-        start, jnp.full_like(start, jnp.inf), jnp.zeros((start.size, start.size))
+        controls=start,
+        gradient=jnp.full_like(start, jnp.inf),
+        hessian=jnp.zeros((start.size, start.size)),
     )
     first = Search(0, start, unknown)
     return jax.lax.while_loop(goes_on, improve, first).last
@@ -174,13 +182,12 @@ def maxent(
     key: jax.Array,
     temperature: Scalar,
 ) -> Controls:
-    """Draw scaled controls from ``p(u) ~ exp(R_H(u) / temperature)`` around the optimum
-    u*, within the limits.
+    """Draw scaled controls u within limits from ``p(u) ~ exp(R_H(u) / temperature)``.
 
-    Draws 20 proposals from the Laplace approximation ``N(u*, temperature (-H)^-1)``, in
-    which each eigenvalue l of H is replaced by ``-max(|l|, 0.05)``, and resamples one
-    of them by importance. Where no proposal is within the limits, it returns the
-    optimum.
+    They are around the optimum u*. Draws 20 proposals from the Laplace approximation
+    ``N(u*, temperature (-H)^-1)``, in which each eigenvalue l of H is replaced by
+    ``-max(|l|, 0.05)``, and resamples one of them by importance. Where no proposal is
+    within the limits, it returns the optimum.
 
     Args:
         game: see `segment_return`.
@@ -198,14 +205,21 @@ def maxent(
     curvatures = jnp.maximum(jnp.abs(values), SEARCH.curvature_floor)
     spread = vectors * jnp.sqrt(temperature / curvatures)
     proposing, accepting = jax.random.split(key)
-    normal = jax.random.normal(proposing, (draws, len(values))).at[0].set(0.0)
+    normal = jax.random.normal(proposing, (draws, len(values)))
+    normal = normal.at[0].set(0.0)
     deviations = (normal @ spread.T).reshape(draws, *best.controls.shape)
     proposals = best.controls + deviations
 
     # Log density of each proposal, relative to that from which it was drawn.
-    returns = jax.vmap(segment_return(game, car, others).earned)(proposals)
+    objective = segment_return(game, car, others)
+    returns = jax.vmap(objective.earned)(proposals)
     log_ratio = returns / temperature + jnp.sum(normal**2, axis=1) / 2
-    is_within = (proposals == bounded(game, car, proposals)).all(axis=(1, 2))
+
+    # Only those within the limits may be chosen, or else the optimum.
+    is_unchanged = proposals == bounded(game, car, proposals)
+    is_within = is_unchanged.all(axis=(1, 2))
     is_possible = is_within & jnp.isfinite(log_ratio)
-    log_ratio = jnp.where(is_possible, log_ratio, -jnp.inf).at[0].set(unlikely)
-    return proposals[jax.random.categorical(accepting, log_ratio)]
+    log_ratio = jnp.where(is_possible, log_ratio, -jnp.inf)
+    log_ratio = log_ratio.at[0].set(unlikely)
+    chosen = jax.random.categorical(accepting, log_ratio)
+    return proposals[chosen]

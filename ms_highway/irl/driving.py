@@ -1,10 +1,11 @@
 """Let recorded drivers drive on together, each by the traits that it has shown."""
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from ms_highway.data.learned_drivers import Drivers, RewardTraits
 from ms_highway.game.scenario import TIME_STEP
@@ -47,16 +48,21 @@ def seen_states(states: States) -> States:
 
 
 def lane_centre(snapshot: Snapshots, side: int | Sides) -> Cars:
-    """Return the centre of the lane that many lanes to the right of each car's lane, at
-    most of the outermost one.
+    """Return the centre of the lane some lanes to the right of each car's lane.
+
+    Beyond the outermost lane, it is that of the outermost one.
     """
-    lane = lane_numbers(snapshot.lanes, seen_states(snapshot.past[-1])[:, 1])
-    return snapshot.lanes[jnp.clip(lane + side, 0, len(snapshot.lanes) - 1)]
+    y = seen_states(snapshot.past[-1])[:, 1]
+    lane = lane_indices(snapshot.lanes, y)
+    outermost = len(snapshot.lanes) - 1
+    reached = jnp.clip(lane + side, 0, outermost)
+    return snapshot.lanes[reached]
 
 
-def lane_numbers(lanes: Float[Array, "lanes"], y: Cars) -> Sides:
-    """Return the number of the lane whose centre is nearest to each position."""
-    return jnp.argmin(jnp.abs(y[:, None] - lanes), axis=-1)
+def lane_indices(lanes: Float[Array, "lanes"], y: Cars) -> Sides:
+    """Return the index of the lane whose centre is nearest to each position."""
+    distances = jnp.abs(y[:, None] - lanes)  # [cars, lanes]
+    return jnp.argmin(distances, axis=-1)
 
 
 def leader_of(
@@ -65,17 +71,25 @@ def leader_of(
     others: States,
     lane: Cars,
 ) -> Leader:
-    """Return the nearest of the others ahead of each car, in the lane around a lateral
-    position for each.
+    """Return the nearest of the others ahead of each car, in a lane for each.
+
+    Args:
+        snapshot: with the sizes of cars and lanes.
+        states: of the cars.
+        others: states of the same cars, among which leaders are looked for.
+        lane: lateral position around which each car has its lane [m].
     """
     not_itself = ~jnp.eye(len(states), dtype=bool)
     lengths = snapshot.sizes[:, 0]
-    number, is_there = leaders(
-        states[:, 0], lane, others, not_itself, snapshot.lane_width / 2
-    )
-    gap = others[number, 0] - states[:, 0] - (lengths + lengths[number]) / 2
+    x = states[:, 0]
+    reach = snapshot.lane_width / 2
+    index, is_there = leaders(x, lane, others, not_itself, reach)
+
+    # The gap between bumpers.
+    distance = others[index, 0] - x
+    gap = distance - (lengths + lengths[index]) / 2
     gap = jnp.where(is_there, gap, HELD_CONTROL.free_gap)
-    return Leader(gap, others[number, 3], is_there)
+    return Leader(gap, others[index, 3], is_there)
 
 
 def roll_out(
@@ -115,7 +129,8 @@ def roll_out(
         """Return the states after a step, twice."""
         x, y, heading, speed = now.T
         lane = jnp.where(changes, target_lane, y)
-        leader = leader_of(snapshot, now, now if others is None else others, lane)
+        neighbours = now if others is None else others
+        leader = leader_of(snapshot, now, neighbours, lane)
         acceleration = held_acceleration(weights, traits, speed, leader)
         curvature = held_curvature(weights, y - target_lane, heading, speed)
 
@@ -134,12 +149,12 @@ def roll_out(
 
 
 def shown_traits(drivers: Drivers, snapshot: Snapshots) -> TraitLogarithms:
-    """Return the means of the logarithms of traits, relative to the medians', given the
-    past 3 s of one snapshot.
+    """Infer drivers' traits from the past 3 s of one snapshot.
 
-    For each full second of a car's past, an extended Kalman filter is updated with the
-    car's mean acceleration, which `held_acceleration` in the recorded states predicts
-    with the prior's noise. Surprises are clipped to 3 standard deviations.
+    Returns the means of the traits' logarithms, relative to the medians'. For each full
+    second of a car's past, an extended Kalman filter is updated with the car's mean
+    acceleration, which `held_acceleration` in the recorded states predicts with the
+    prior's noise. Surprises are clipped to 3 standard deviations.
     """
     prior = drivers.prior
     is_seen = jnp.isfinite(snapshot.past).all(axis=-1)  # [times, cars]
@@ -154,34 +169,71 @@ def shown_traits(drivers: Drivers, snapshot: Snapshots) -> TraitLogarithms:
     @jax.vmap
     @jax.value_and_grad
     def expected(logarithms: Float[Array, "3"], speed: Cars, leader: Leader) -> Scalar:
-        """Return the mean acceleration of a car with some traits, and its slopes."""
+        """Return the mean acceleration of a car with some traits, and its gradient."""
         usual = prior.traits(logarithms, snapshot.speed_limit)
-        return held_acceleration(drivers.weights, usual, speed, leader).mean()
+        acceleration = held_acceleration(drivers.weights, usual, speed, leader)
+        return acceleration.mean()
 
+    # The prior: the medians' traits.
     mean = jnp.zeros((past.shape[1], 3))
     variances = jnp.asarray(prior.deviations) ** 2
     covariance = jnp.tile(jnp.diag(variances), (len(mean), 1, 1))  # [cars, 3, 3]
+    belief = TraitBelief(mean, covariance)
+
     second = SNAPSHOT.steps_per_second
     for first in range(0, SNAPSHOT.past_steps, second):
         last = first + second
 
-        # Measured and predicted: h(x) with the slope H at the present mean x.
+        # Measured and predicted: h(x) with the gradient H at the present mean x.
         measured = (speeds[last] - speeds[first]) / (second * TIME_STEP)
         times = slice(first, last, TRAIT_FILTER.stride)
         leader_then = Leader(*(jnp.asarray(part)[times].T for part in leader))
-        predicted, slope = expected(mean, speeds[times].T, leader_then)
-
-        # The gain K = P H / (H P H + noise^2), 0 for cars that were not always seen.
-        covariance_slope = jnp.einsum("cij,cj->ci", covariance, slope)
-        variance = jnp.sum(slope * covariance_slope, axis=1) + prior.noise**2
+        predicted, gradient = expected(belief.mean, speeds[times].T, leader_then)
         throughout = is_seen[first : last + 1].all(axis=0)
-        precision = jnp.where(throughout, 1 / variance, 0.0)
-        gain = precision[:, None] * covariance_slope
+        belief = _updated(
+            belief, measured - predicted, gradient, prior.noise, throughout
+        )
+    return belief.mean
 
-        # x += K (measured - predicted), P -= K (P H)^T.
-        largest = TRAIT_FILTER.max_surprise * jnp.sqrt(variance)
-        surprise = jnp.clip(measured - predicted, -largest, largest)
-        most = TRAIT_FILTER.max_deviation
-        mean = jnp.clip(mean + gain * surprise[:, None], -most, most)
-        covariance -= gain[:, :, None] * covariance_slope[:, None]
-    return mean
+
+class TraitBelief(NamedTuple):
+    """A normal distribution of the logarithms of every car's traits.
+
+    Attributes:
+        mean: x.
+        covariance: P.
+    """
+
+    mean: TraitLogarithms
+    covariance: Float[Array, "cars 3 3"]
+
+
+def _updated(
+    belief: TraitBelief,
+    surprise: Cars,
+    gradient: TraitLogarithms,
+    noise: Scalar,
+    is_measured: Bool[Array, "cars"],
+) -> TraitBelief:
+    """Update a belief by one measurement of each car, as a Kalman filter does.
+
+    Args:
+        belief: before.
+        surprise: measured less predicted value.
+        gradient: H, of the predicted value in the mean.
+        noise: standard deviation of measurements.
+        is_measured: which cars have a measurement.
+    """
+    # The gain K = P H / (H P H + noise^2), 0 without a measurement.
+    covariance_gradient = jnp.einsum("cij,cj->ci", belief.covariance, gradient)
+    variance = jnp.sum(gradient * covariance_gradient, axis=1) + noise**2
+    precision = jnp.where(is_measured, 1 / variance, 0.0)
+    gain = precision[:, None] * covariance_gradient
+
+    # x += K surprise, P -= K (P H)^T.
+    largest = TRAIT_FILTER.max_surprise * jnp.sqrt(variance)
+    clipped = jnp.clip(surprise, -largest, largest)
+    most = TRAIT_FILTER.max_deviation
+    mean = jnp.clip(belief.mean + gain * clipped[:, None], -most, most)
+    reduction = gain[:, :, None] * covariance_gradient[:, None]
+    return TraitBelief(mean, belief.covariance - reduction)

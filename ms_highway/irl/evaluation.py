@@ -94,17 +94,18 @@ class Errors(NamedTuple):
 def prediction_errors(mixture: Mixture, recorded: Paths) -> Errors:
     """Compare predicted distributions with recorded positions."""
     positions = recorded.astype(np.float32)
-    distance = np.linalg.norm(expected_path(mixture.modes) - recorded, axis=-1)
+    offsets = expected_path(mixture.modes) - recorded
     return Errors(
-        distance,
-        np.asarray(log_density(mixture, positions)),
-        density_level(mixture, positions),
+        distance=np.linalg.norm(offsets, axis=-1),
+        log_p=np.asarray(log_density(mixture, positions)),
+        level=density_level(mixture, positions),
     )
 
 
 def metrics(errors: Errors) -> dict[str, ByHorizon]:
-    """Return the metrics of a predictor by name and horizon in seconds, over the
-    drivers that are seen until then.
+    """Return the metrics of a predictor by name and horizon in seconds.
+
+    They are over the drivers that are seen until then.
 
     Returns:
         ``fde``, the mean distance at the horizon [m]; ``ade``, the mean distance up to
@@ -142,11 +143,10 @@ def evaluate(
     parts: int = 4,
     progress: Progress = silent,
 ) -> Evaluation:
-    """Evaluate learned drivers on recordings; or cross-validate: learn from the other
-    folds to predict each fold.
+    """Evaluate learned drivers on recordings, or cross-validate.
 
-    Drivers that are not `ms_highway.irl.usable.usable` are left out, with a warning
-    that names them.
+    A cross-validation learns from the other folds to predict each fold. Drivers that
+    are not `ms_highway.irl.usable.usable` are left out, with a warning that names them.
 
     Args:
         recordings: all recordings; a cross-validation splits them by group, and so by
@@ -180,20 +180,16 @@ def evaluate(
         )
         drivers = learned or learn_drivers(snapshots.only(~chosen), intervals=False)
         weights.append({"drivers": drivers.weights})
-        errors_of_fold = {
-            name: prediction_errors(predict_with(name, some, drivers), some.recorded)
-            for name in PREDICTORS
-        }
-        errors_of_folds.append(errors_of_fold)
+        errors_of_folds.append(_errors_by_predictor(some, drivers))
         regimes_of_folds.append(driving_regimes(some))
 
-    errors = {
-        name: Errors(*map(np.concatenate, zip(*each, strict=True)))
-        for name, each in _by_name(errors_of_folds).items()
-    }
-    regimes = {
-        name: np.concatenate(each) for name, each in _by_name(regimes_of_folds).items()
-    }
+    # All folds in a row.
+    errors = {}
+    for name, each in _by_name(errors_of_folds).items():
+        errors[name] = Errors(*map(np.concatenate, zip(*each, strict=True)))
+    regimes = {}
+    for name, flags in _by_name(regimes_of_folds).items():
+        regimes[name] = np.concatenate(flags)
     return Evaluation(
         predictors={name: metrics(each) for name, each in errors.items()},
         situations=metrics_by_regime(errors, regimes),
@@ -203,19 +199,31 @@ def evaluate(
     )
 
 
+def _errors_by_predictor(
+    snapshots: Snapshots,
+    drivers: LearnedDrivers,
+) -> dict[str, Errors]:
+    """Return the errors of all predictors, by name."""
+    errors = {}
+    for name in PREDICTORS:
+        mixture = predict_with(name, snapshots, drivers)
+        errors[name] = prediction_errors(mixture, snapshots.recorded)
+    return errors
+
+
 def _by_name(of_folds: Sequence[Mapping[str, Value]]) -> dict[str, list[Value]]:
     """Return the values of all folds by their name, in the order of names."""
     return {name: [of_fold[name] for of_fold in of_folds] for name in of_folds[0]}
 
 
 def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
-    """Return which predicted drivers are in each regime, by name; a driver may be in
-    several, or in none.
+    """Return which predicted drivers are in each regime, by name.
 
-    *lane change*: moves 1.5 m to the side within 3 s. *braking*, *accelerating*: by
-    more than 1 m/s^2 on average over 3 s. *slow*: below 5 m/s at the start. *no
-    leader*: nobody within 50 m ahead in the own lane at the start. *following*: none of
-    the other regimes. Drivers who are seen for less than 3 s are in none.
+    A driver may be in several, or in none. *lane change*: moves 1.5 m to the side
+    within 3 s. *braking*, *accelerating*: by more than 1 m/s^2 on average over 3 s.
+    *slow*: below 5 m/s at the start. *no leader*: nobody within 50 m ahead in the own
+    lane at the start. *following*: none of the other regimes. Drivers who are seen for
+    less than 3 s are in none.
     """
     start = snapshots.drivers(snapshots.now)
     last_step = SNAPSHOT.steps_per_second * REGIME_LIMITS.seconds - 1
@@ -226,10 +234,10 @@ def driving_regimes(snapshots: Snapshots) -> dict[str, Flags]:
     # Whether there is a leader in the own lane.
     others = snapshots.now[snapshots.which]  # [drivers, cars, 4]
     half_width = snapshots.lane_width[snapshots.which] / 2
-    is_near = others[..., 0] - x[:, None] < REGIME_LIMITS.leader_distance
-    _, is_led = leaders(
-        x[:, None], y[:, None], others, is_near[:, None], half_width[:, None, None]
-    )
+    distance = others[..., 0] - x[:, None]
+    is_near = distance < REGIME_LIMITS.leader_distance
+    reach = half_width[:, None, None]
+    _, is_led = leaders(x[:, None], y[:, None], others, is_near[:, None], reach)
 
     acceleration = (speed_later - speed) / REGIME_LIMITS.seconds
     regimes = {
@@ -248,8 +256,9 @@ def metrics_by_regime(
     errors: Mapping[str, Errors],
     regimes: Mapping[str, Flags],
 ) -> Situations:
-    """Return the mean distance and log density by regime, predictor and horizon, see
-    `Evaluation.situations`.
+    """Return the mean distance and log density by regime, predictor and horizon.
+
+    See `Evaluation.situations`.
     """
     situations: Situations = {"distance": {}, "log_p": {}}
     for regime, chosen in regimes.items():

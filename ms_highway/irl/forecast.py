@@ -17,12 +17,12 @@ from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 
 
 class Forecast(NamedTuple):
-    """Where cars may be. In mode 0 a car stays in its lane, in mode 1 it changes to the
-    left, in mode 2 to the right.
+    """Where cars may be, by mode, and over all modes.
 
-    The predicted distributions are Student's t: their tails are heavier than normal,
-    and their variance may be infinite. The covariance of a mode is therefore that of
-    the normal distribution whose region of 50 % probability is the same.
+    In mode 0 a car stays in its lane, in mode 1 it changes to the left, in mode 2 to
+    the right. The predicted distributions are Student's t: their tails are heavier than
+    normal, and their variance may be infinite. The covariance of a mode is therefore
+    that of the normal distribution whose region of 50 % probability is the same.
 
     Attributes:
         times: of the predicted positions [s].
@@ -85,25 +85,13 @@ def predict(
     centres = np.array(lanes, dtype=float)
     bodies = np.array(sizes, dtype=float)
     steps = round(seconds / TIME_STEP)
-    checks: dict[str, tuple[object, bool]] = {
-        "lanes": (
-            lanes,
-            centres.ndim == 1 and centres.size > 0 and bool(np.isfinite(centres).all()),
-        ),
-        "sizes": (
-            sizes,
-            bodies.shape in ((2,), (cars, 2)) and bool((bodies > 0).all()),
-        ),
-        "speed_limit": (speed_limit, 0 < speed_limit < np.inf),
-        "lane_width": (lane_width, 0 < lane_width < np.inf),
-        "seconds": (seconds, 1 <= steps <= SNAPSHOT.future_steps),
-    }
-    for name, (value, is_possible) in checks.items():
-        if not is_possible:
-            raise ValueError(
-                f"{name} cannot be {value!r}; give positive finite numbers as"
-                " `help(predict)` says"
-            )
+    are_centres = centres.ndim == 1 and centres.size > 0
+    _check("lanes", lanes, are_centres and bool(np.isfinite(centres).all()))
+    are_sizes = bodies.shape in ((2,), (cars, 2))
+    _check("sizes", sizes, are_sizes and bool((bodies > 0).all()))
+    _check("speed_limit", speed_limit, 0 < speed_limit < np.inf)
+    _check("lane_width", lane_width, 0 < lane_width < np.inf)
+    _check("seconds", seconds, 1 <= steps <= SNAPSHOT.future_steps)
 
     snapshot = _snapshot(past, bodies, np.sort(centres), lane_width, speed_limit)
     if isinstance(learned, LearnedReward):
@@ -115,7 +103,8 @@ def predict(
     # Only the cars and the steps that were asked for.
     weights = np.asarray(modes.probability)[:cars]
     means = np.asarray(modes.path)[:cars, :, :steps]
-    mean = np.asarray(expected_path(modes))[:cars, :steps]
+    expected = np.asarray(expected_path(modes))
+    mean = expected[:cars, :steps]
 
     # The mixture's covariance: that of each mode, and of the means of modes.
     covariances = _covariances(spread, means.shape[1], steps)
@@ -124,6 +113,19 @@ def predict(
     covariance = np.einsum("cm,cmtij->ctij", weights, covariances + outer)
     times = TIME_STEP * np.arange(1, steps + 1)
     return Forecast(times, weights, means, covariances, mean, covariance)
+
+
+def _check(name: str, value: object, is_possible: bool) -> None:
+    """Check an argument of `predict`.
+
+    Raises:
+        ValueError: if its value is impossible.
+    """
+    if not is_possible:
+        raise ValueError(
+            f"{name} cannot be {value!r}; give positive finite numbers as"
+            " `help(predict)` says"
+        )
 
 
 def _checked_past(states: ArrayLike) -> Float[np.ndarray, "times cars 4"]:
@@ -137,7 +139,8 @@ def _checked_past(states: ArrayLike) -> Float[np.ndarray, "times cars 4"]:
     past[..., 2:3] = without_turns(past[..., 2:3])
     times = SNAPSHOT.past_steps + 1
     is_past = past.ndim == 3 and past.shape[2] == 4 and len(past) <= times
-    if not (is_past and past.size and np.isfinite(past[-1]).all()):
+    is_complete = is_past and past.size > 0 and np.isfinite(past[-1]).all()
+    if not is_complete:
         raise ValueError(
             f"states are of shape {np.shape(states)}, or not all seen now; give finite"
             f" numbers [cars, 4], or up to {times} times of them, finite at the last"
@@ -187,15 +190,15 @@ def _covariances(
     modes: int,
     steps: int,
 ) -> Float[np.ndarray, "modes times 2 2"]:
-    """Return the covariances of normal distributions with the same region of 50 %
-    probability as the Student t distributions of a spread [m^2].
+    """Return covariances of normal distributions that are as wide as a spread [m^2].
 
-    The squared radius r^2 of that region, in scales, is ``2 log 2`` for the normal
-    distribution, and ``nu (exp(2 log 2 / nu) - 1)`` for Student's with nu degrees of
-    freedom.
+    Their region of 50 % probability is that of its Student t distributions. The squared
+    radius r^2 of that region, in scales, is ``2 log 2`` for the normal distribution,
+    and ``nu (exp(2 log 2 / nu) - 1)`` for Student's with nu degrees of freedom.
     """
     normal_square = 2 * np.log(2)
     freedom = np.asarray(spread.freedom(steps))
     scales = np.asarray(spread.scales(modes, steps))
     wider = freedom * np.expm1(normal_square / freedom) / normal_square
-    return (wider[:, None] * scales**2)[..., None] * np.eye(2)
+    variances = wider[:, None] * scales**2  # [modes, times, 2]
+    return variances[..., None] * np.eye(2)

@@ -98,13 +98,9 @@ def learn_reward(
     progress(f"differentiating {len(segments)} segments")
     derivatives = differentiate(segments, model.names)
     progress("fitting")
-    data = SegmentData(segments, derivatives)
-    try:
-        found = _fit(data, model, real)
-    except DivergenceError as error:
-        data, reasons = _without_steady(data, recordings, error)
-        left_out |= reasons
-        found = _fit(data, model, real)
+    every_segment = SegmentData(segments, derivatives)
+    data, found, reasons = _fit_to_changing(every_segment, model, recordings)
+    left_out |= reasons
     held_out = _cross_validate(data, found, validations, progress)
 
     # What drivers do seconds later, and in one segment.
@@ -112,9 +108,9 @@ def learn_reward(
     if real:
         drivers = learn_drivers(cut_snapshots(recordings), progress=progress)
     progress("counting features")
-    counts = {
-        "human": data.derivatives.features.mean(axis=0),
-        "model": expected_features(data.segments, found),
+    feature_counts = {
+        "human": _by_feature(model, data.derivatives.features.mean(axis=0)),
+        "model": _by_feature(model, expected_features(data.segments, found)),
     }
     return LearnedReward(
         weights=found.weights,
@@ -126,10 +122,7 @@ def learn_reward(
         iterations=found.iterations,
         windows=len(data.segments),
         log_likelihood={"train": found.log_likelihood, "held_out": held_out},
-        feature_counts={
-            who: dict(zip(model.names, sums.tolist(), strict=True))
-            for who, sums in counts.items()
-        },
+        feature_counts=feature_counts,
         provenance=_provenance(recordings, source, left_out),
         tails=found.tails,
         drivers=drivers,
@@ -147,6 +140,30 @@ class SegmentData(NamedTuple):
 
     segments: Segments
     derivatives: FeatureDerivatives
+
+
+def _by_feature(model: RewardModel, sums: Vector) -> dict[str, float]:
+    """Return sums of features by the features' names."""
+    return dict(zip(model.names, sums.tolist(), strict=True))
+
+
+def _fit_to_changing(
+    data: SegmentData,
+    model: RewardModel,
+    recordings: Sequence[Recording],
+) -> tuple[SegmentData, Fit, dict[str, str]]:
+    """Fit the weights; if they diverge, to segments in which driving changes.
+
+    Returns:
+        The segments that were learned from; the fit; and why drivers have segments that
+        are left out, by name.
+    """
+    real = recordings[0].measured
+    try:
+        return data, _fit(data, model, real), {}
+    except DivergenceError as error:
+        changing, reasons = _without_steady(data, recordings, error)
+        return changing, _fit(changing, model, real), reasons
 
 
 def _fit(data: SegmentData, model: RewardModel, real: bool) -> Fit:
@@ -202,7 +219,7 @@ def _without_steady(
         f"{steady.sum()} of {len(segments)} segments are left out, in which the"
         f" speed or the heading does not change at all ({listed(names)}): with"
         f" them, {error.what} without bound",
-        stacklevel=3,
+        stacklevel=4,
     )
     reason = "has segments in which its speed or heading does not change at all"
     changing = SegmentData(segments.of(~steady), data.derivatives.of(~steady))

@@ -72,7 +72,8 @@ class Mixture(NamedTuple):
 def expected_path(modes: Modes) -> Paths:
     """Return the mean of the modes' paths, from which errors are measured."""
     probability = np.asarray(modes.probability)
-    return np.einsum("nm,nmtc->ntc", probability, np.asarray(modes.path))
+    path = np.asarray(modes.path)
+    return np.einsum("nm,nmtc->ntc", probability, path)
 
 
 @jax.jit
@@ -88,13 +89,20 @@ def log_density(mixture: Mixture, positions: Paths) -> Steps:
     _, number, steps, _ = modes.path.shape
     scales = spread.scales(number, steps)  # [modes, steps, 2]
     freedom = spread.freedom(steps)
+
+    # The log density of each mode [n, modes, steps].
     deviations = (positions[:, None] - modes.path) / scales
-    power = -(freedom / 2 + 1)
     squares = jnp.sum(deviations**2, axis=-1)
-    densities = power * jnp.log1p(squares / freedom)
-    densities = densities - jnp.log(2 * jnp.pi) - jnp.sum(jnp.log(scales), axis=-1)
-    probabilities = jnp.log(jnp.maximum(modes.probability, 1e-9))
-    return jax.scipy.special.logsumexp(densities + probabilities[..., None], axis=1)
+    power = -(freedom / 2 + 1)
+    log_kernel = power * jnp.log1p(squares / freedom)
+    log_area = jnp.sum(jnp.log(scales), axis=-1)  # log(s t)
+    log_densities = log_kernel - jnp.log(2 * jnp.pi) - log_area
+
+    # Their sum, weighted by the modes' probabilities.
+    least_probability = 1e-9  # the logarithm of 0 is not finite
+    probability = jnp.maximum(modes.probability, least_probability)
+    log_weights = jnp.log(probability)[..., None]
+    return jax.scipy.special.logsumexp(log_densities + log_weights, axis=1)
 
 
 def density_level(mixture: Mixture, positions: Paths) -> Steps:
@@ -116,39 +124,49 @@ def density_level(mixture: Mixture, positions: Paths) -> Steps:
     scales = np.asarray(spread.scales(modes, steps))
     freedom = np.asarray(spread.freedom(steps))
     density = np.asarray(log_density(mixture, positions))
-    thresholds = np.cumsum(np.asarray(probability), axis=1)[:, :-1]  # between modes
+    cumulative = np.cumsum(np.asarray(probability), axis=1)
+    thresholds = cumulative[:, :-1]  # between modes
 
     random = np.random.default_rng(0)
     number_inside = np.zeros((drivers, steps))
     for _ in range(draws):
         # A mode for each driver, and a Student t variable for each step.
-        mode = np.sum(random.random((drivers, 1)) > thresholds, axis=1)
+        is_beyond = random.random((drivers, 1)) > thresholds
+        mode = np.sum(is_beyond, axis=1)
         chi_squares = random.chisquare(freedom, (drivers, steps))
-        stretch = np.sqrt(freedom / np.maximum(chi_squares, least_square))[..., None]
+        chi_squares = np.maximum(chi_squares, least_square)
+        stretch = np.sqrt(freedom / chi_squares)[..., None]
         normal = random.normal(size=(drivers, steps, 2))
-        drawn = path[np.arange(drivers), mode] + stretch * normal * scales[mode]
+        path_of_mode = path[np.arange(drivers), mode]  # [drivers, steps, 2]
+        drawn = path_of_mode + stretch * normal * scales[mode]
 
+        # Whether the predicted density is higher there.
         drawn = np.clip(drawn, -farthest, farthest)
         number_inside += np.asarray(log_density(mixture, drawn)) > density
-    return np.where(np.isfinite(density), number_inside / draws, np.nan)
+    share_inside = number_inside / draws
+    return np.where(np.isfinite(density), share_inside, np.nan)
 
 
 def fit_spread(modes: Modes, positions: Paths) -> Spread:
     """Fit the spread that makes recorded positions most likely, every half second."""
-    known = np.all(np.isfinite(positions), axis=-1)[:, SPREAD_FIT.times]
+    is_known = np.all(np.isfinite(positions), axis=-1)
+    known = is_known[:, SPREAD_FIT.times]
+    without_nan = np.nan_to_num(positions)
     first = np.array(SPREAD_FIT.first)
-    parameters = minimum(_loss, first, modes, np.nan_to_num(positions), known)
+    parameters = minimum(_loss, first, modes, without_nan, known)
     return plain(_spread_of(parameters))
 
 
 def _spread_of(parameters: Parameters) -> Spread:
     """Return the spread with the parameters of `SpreadFit`, in their precision."""
     xp = namespace(parameters)
+    freedom = xp.exp(parameters[8])
+    growth = parameters[9]
     return Spread(
         along=parameters[:3],
         across=parameters[3:6],
         changing=parameters[6:8],
-        tails=xp.stack([xp.exp(parameters[8]), parameters[9]]),
+        tails=xp.stack([freedom, growth]),
     )
 
 
@@ -162,7 +180,8 @@ def _loss(
 ) -> Scalar:
     """Return minus the mean log density of the known positions, with a weak prior."""
     mixture = Mixture(modes, _spread_of(parameters))
-    densities = log_density(mixture, positions)[:, SPREAD_FIT.times]
+    log_densities = log_density(mixture, positions)
+    densities = log_densities[:, SPREAD_FIT.times]
     deviations = parameters - jnp.array(SPREAD_FIT.first)
     prior = jnp.sum(deviations**2) / (2 * SPREAD_FIT.deviation**2)
 

@@ -26,7 +26,7 @@ from ms_highway.game.scenario import PAPER_DYNAMICS, TIME_STEP
 from ms_highway.irl.driving import lane_centre, leader_of, seen_states
 from ms_highway.irl.horizons import robust_errors
 from ms_highway.irl.mixture import Modes, fit_spread
-from ms_highway.irl.recording import CarStates
+from ms_highway.irl.recording import Cars, CarStates
 from ms_highway.irl.snapshots import SNAPSHOT, Snapshots
 from ms_highway.numerics.estimation import Parameters, minimum
 from ms_highway.runtime.arrays import Scalar, Structure, pytree, read
@@ -205,7 +205,8 @@ def _fit_idm(snapshots: Snapshots) -> IdmPeer:
 def _mean_idm_error(logarithms: Parameters, snapshots: Snapshots) -> Scalar:
     """Return the mean of `robust_errors`, given the logarithms of IDM's parameters."""
     paths = _idm_of_all(IdmPeer(*jnp.exp(logarithms)), snapshots)
-    errors, known = robust_errors(paths, snapshots.future, snapshots.predicted[:, None])
+    counts = snapshots.predicted[:, None]
+    errors, known = robust_errors(paths, snapshots.future, counts)
     return jnp.sum(errors) / jnp.sum(known)
 
 
@@ -214,9 +215,8 @@ def _idm_of_all(parameters: IdmPeer, snapshot: Snapshots) -> CarStates:
     """Return the positions of all cars after each step [50, cars, 2]."""
     start = seen_states(snapshot.past[-1])
     lane = lane_centre(snapshot, 0)
-    desired_speed = jnp.clip(
-        jnp.maximum(start[:, 3], parameters.speed), 0.01, snapshot.speed_limit
-    )
+    wanted_speed = jnp.maximum(start[:, 3], parameters.speed)
+    desired_speed = jnp.clip(wanted_speed, 0.01, snapshot.speed_limit)
     width = snapshot.lane_width + 2 * parameters.margin
     sizes = snapshot.sizes * parameters.lengths
     around = replace(snapshot, sizes=sizes, lane_width=width)
@@ -232,24 +232,13 @@ def _idm_of_all(parameters: IdmPeer, snapshot: Snapshots) -> CarStates:
             speed, desired_speed, gap, leader.speed
         )
 
-        # Steer to the centre of the lane: the offset asks for a lateral speed and so
-        # for a heading, its error for a yaw rate and so for a slip angle.
-        moving = jnp.maximum(speed, 0.01)
-        sine = VEHICLE_STEERING.largest_heading_sine
-        wanted_sine = (lane - y) / (parameters.settling * moving)
-        wanted_heading = jnp.arcsin(jnp.clip(wanted_sine, -sine, sine))
-        slip_sine = VEHICLE_STEERING.largest_slip_sine
-        yaw_rate = (wanted_heading - heading) / parameters.steering
-        wanted_slip_sine = VEHICLE_STEERING.slip_length / moving * yaw_rate
-        slip = jnp.arcsin(jnp.clip(wanted_slip_sine, -slip_sine, slip_sine))
-
         # highway-env's bicycle: the centre moves by the slip angle beside the heading.
+        slip = _slip_angle(parameters, lane - y, heading, speed)
         distance = TIME_STEP * speed
         x_after = x + distance * jnp.cos(heading + slip)
         y_after = y + distance * jnp.sin(heading + slip)
-        heading_after = (
-            heading + distance * jnp.sin(slip) / VEHICLE_STEERING.slip_length
-        )
+        turned = distance * jnp.sin(slip) / VEHICLE_STEERING.slip_length
+        heading_after = heading + turned
         speed_after = jnp.maximum(speed + TIME_STEP * acceleration, 0.0)
         after = jnp.stack([x_after, y_after, heading_after, speed_after], axis=-1)
         return after, after[:, :2]
@@ -259,3 +248,26 @@ def _idm_of_all(parameters: IdmPeer, snapshot: Snapshots) -> CarStates:
 
 
 _idm_paths = jit_quickly(_idm_of_all)
+
+
+def _slip_angle(parameters: IdmPeer, offset: Cars, heading: Cars, speed: Cars) -> Cars:
+    """Return the slip angles by which cars steer to the centre of their lane [rad].
+
+    Args:
+        parameters: of lane keeping.
+        offset: of the lane's centre to the right of each car [m].
+        heading: relative to the lane [rad].
+        speed: [m/s].
+    """
+    moving = jnp.maximum(speed, 0.01)
+
+    # The offset asks for a lateral speed, and so for a heading.
+    sine = VEHICLE_STEERING.largest_heading_sine
+    wanted_sine = offset / (parameters.settling * moving)
+    wanted_heading = jnp.arcsin(jnp.clip(wanted_sine, -sine, sine))
+
+    # The error of the heading asks for a yaw rate, and so for a slip angle.
+    slip_sine = VEHICLE_STEERING.largest_slip_sine
+    yaw_rate = (wanted_heading - heading) / parameters.steering
+    wanted_slip_sine = VEHICLE_STEERING.slip_length / moving * yaw_rate
+    return jnp.arcsin(jnp.clip(wanted_slip_sine, -slip_sine, slip_sine))

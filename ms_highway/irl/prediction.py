@@ -72,7 +72,9 @@ def predict_drivers(snapshots: Snapshots, drivers: Drivers) -> Modes:
     They keep their lane, or change to the left or right.
     """
     of_all = in_batches(partial(_modes_of_all, drivers), snapshots)
-    return Modes(snapshots.drivers(of_all.probability), snapshots.drivers(of_all.path))
+    probability = snapshots.drivers(of_all.probability)
+    path = snapshots.drivers(of_all.path)
+    return Modes(probability, path)
 
 
 @jax.jit
@@ -86,7 +88,8 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
     odds = biases + advantages @ jnp.asarray(drivers.intention.weights)
     odds = jnp.where(exist, odds, -jnp.inf)  # [cars, 2]
     keeping = jnp.zeros((len(odds), 1))
-    probability = jax.nn.softmax(jnp.concatenate([keeping, odds], axis=1), axis=1)
+    log_odds = jnp.concatenate([keeping, odds], axis=1)  # [cars, modes]
+    probability = jax.nn.softmax(log_odds, axis=1)
 
     # All cars drive together, each in its likeliest mode.
     sides = jnp.asarray(SIDES)
@@ -101,7 +104,8 @@ def _modes_of_all(drivers: Drivers, snapshot: Snapshots) -> Modes:
         return roll_out(drivers, snapshot, traits, sides_of_all, before)
 
     states = jax.vmap(in_mode)(sides)  # [modes, steps, cars, 4]
-    return Modes(probability, jnp.moveaxis(states, 2, 0)[..., :2])
+    of_cars = jnp.moveaxis(states, 2, 0)  # [cars, modes, steps, 4]
+    return Modes(probability, of_cars[..., :2])
 
 
 def lane_advantages(
@@ -116,24 +120,7 @@ def lane_advantages(
     centre = lane_centre(snapshot, 0)
     _, y, heading, speed = states.T
     own_leader = leader_of(snapshot, states, states, centre)
-
-    # Lateral speed now, and over the last second by linear regression.
-    drift = speed * jnp.sin(heading)
-    second = SNAPSHOT.steps_per_second
-    times = TIME_STEP * (np.arange(second + 1) - second / 2)
-    recent_y = snapshot.past[-second - 1 :, :, 1]
-    slope = times @ recent_y / (times @ times)  # NaN for cars that were not seen
-    recent_drift = jnp.where(jnp.isfinite(slope), slope, drift)
-
-    def relative_speed(leader: Leader) -> Cars:
-        """Return the speed of leaders relative to their followers [m/s].
-
-        It is weighed by their nearness.
-        """
-        nearness = 30.0  # m, gap at which the speed of a leader counts 1 / e as much
-        gap = jnp.maximum(leader.gap, 0.0)
-        weight = jnp.where(leader.there, jnp.exp(-gap / nearness), 0.0)
-        return weight * (leader.speed - speed)
+    drift, recent_drift = _drift(snapshot, heading, speed)
 
     def advantages(right: int) -> tuple[jax.Array, CarFlags]:
         """Return the advantages of the lane on one side, and whether it exists."""
@@ -142,11 +129,13 @@ def lane_advantages(
         free_gap = HELD_CONTROL.free_gap
         gap = jnp.clip(leader.gap, 0.0, free_gap)
         own_gap = jnp.clip(own_leader.gap, 0.0, free_gap)
+        offset = right * (y - centre) / snapshot.lane_width
+        faster = _relative_speed(leader, speed) - _relative_speed(own_leader, speed)
         columns = [
-            right * (y - centre) / snapshot.lane_width,
+            offset,
             right * drift,
             right * recent_drift,
-            relative_speed(leader) - relative_speed(own_leader),
+            faster,
             (gap - own_gap) / 10,
             speed / 10,
         ]
@@ -154,7 +143,33 @@ def lane_advantages(
 
     left, left_exists = advantages(-1)
     right, right_exists = advantages(1)
-    return (
-        jnp.stack([left, right], axis=1),
-        jnp.stack([left_exists, right_exists], axis=1),
-    )
+    both = jnp.stack([left, right], axis=1)
+    exist = jnp.stack([left_exists, right_exists], axis=1)
+    return both, exist
+
+
+def _drift(snapshot: Snapshots, heading: Cars, speed: Cars) -> tuple[Cars, Cars]:
+    """Return lateral speeds to the right, now and over the last second [m/s].
+
+    The latter are by linear regression.
+    """
+    drift = speed * jnp.sin(heading)
+    second = SNAPSHOT.steps_per_second
+    times = TIME_STEP * (np.arange(second + 1) - second / 2)
+    recent_y = snapshot.past[-second - 1 :, :, 1]
+    slope = times @ recent_y / (times @ times)  # NaN for cars that were not seen
+    recent_drift = jnp.where(jnp.isfinite(slope), slope, drift)
+    return drift, recent_drift
+
+
+def _relative_speed(leader: Leader, speed: Cars) -> Cars:
+    """Return the speed of leaders relative to their followers, by nearness [m/s].
+
+    Args:
+        leader: of each car.
+        speed: of each car [m/s].
+    """
+    nearness = 30.0  # m, gap at which the speed of a leader counts 1 / e as much
+    gap = jnp.maximum(leader.gap, 0.0)
+    weight = jnp.where(leader.there, jnp.exp(-gap / nearness), 0.0)
+    return weight * (leader.speed - speed)

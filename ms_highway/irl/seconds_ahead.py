@@ -29,7 +29,7 @@ from ms_highway.data.learned_drivers import (
     TraitPrior,
 )
 from ms_highway.geometry.curve import namespace
-from ms_highway.irl.driving import lane_numbers, roll_out, shown_traits
+from ms_highway.irl.driving import lane_indices, roll_out, shown_traits
 from ms_highway.irl.horizons import robust_errors
 from ms_highway.irl.mixture import SIDES, fit_spread
 from ms_highway.irl.peers import fit_peers
@@ -282,7 +282,7 @@ def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
     y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]  # [times, cars]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
     last = jnp.take_along_axis(y, seen[None], axis=0)[0]
-    side = lane_numbers(snapshot.lanes, last) - lane_numbers(snapshot.lanes, y[0])
+    side = lane_indices(snapshot.lanes, last) - lane_indices(snapshot.lanes, y[0])
     is_known = (seen >= DRIVER_FIT.min_steps) & (jnp.abs(side) <= 1)
     learned_from = snapshot.predicted & is_known
     return learned_from, side * learned_from

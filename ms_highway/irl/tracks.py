@@ -38,7 +38,7 @@ class TrackSmoothing:
     heading: float = 0.2
     """Heading at the start [rad]."""
     curvature: float = 0.02
-    """[1/m]."""
+    """Curvature of the path [1/m]."""
     largest_curvature: float = 0.2
     """Limit of the curvature, with the front wheels turned by 45 degrees [1/m]."""
     rounds: int = 2
@@ -72,7 +72,8 @@ def track_of(recording: Recording, car: int) -> Track:
     states = recording.states[recording.seen[:, car], car]
     if recording.measured:
         return smoothed(states[:, :2])
-    return Track(states, recover_control(PAPER_DYNAMICS, states[:-1], states[1:]))
+    controls = recover_control(PAPER_DYNAMICS, states[:-1], states[1:])
+    return Track(states, controls)
 
 
 def smoothed(recorded: Points) -> Track:
@@ -99,9 +100,11 @@ def smoothed(recorded: Points) -> Track:
         sine_per_heading = np.sinc(heading[:-1] / np.pi)
 
     # The controls between these states, and the states to which they lead exactly.
-    likeliest = np.stack(np.broadcast_arrays(x, y, heading, speed), axis=-1)
+    fields = np.broadcast_arrays(x, y, heading, speed)
+    likeliest = np.stack(fields, axis=-1)
     controls = recover_control(PAPER_DYNAMICS, likeliest[:-1], likeliest[1:])
-    states = accumulate(controls, partial(step, PAPER_DYNAMICS), initial=likeliest[0])
+    one_step = partial(step, PAPER_DYNAMICS)
+    states = accumulate(controls, one_step, initial=likeliest[0])
     return Track(np.stack(list(states)), controls)
 
 
@@ -120,10 +123,14 @@ def _fit_along(recorded: Values, cosine: Values) -> tuple[float, Values]:
     distances = (speeds[:-1] + speeds[1:]) * dt / 2
     places = _cumulative(cosine[:, None] * distances)
 
-    jerks = np.diff(identity, axis=0) / (TRACK_SMOOTHING.jerk * dt)
+    # Penalties, in standard deviations.
+    changes = np.diff(identity, axis=0)
+    jerks = changes / (TRACK_SMOOTHING.jerk * dt)
     accelerations = identity / TRACK_SMOOTHING.acceleration
+
     x, *motion = _least_squares(places, recorded, jerks, accelerations)
-    return x, np.maximum(speeds @ motion, 0)
+    fitted_speeds = speeds @ motion
+    return x, np.maximum(fitted_speeds, 0)
 
 
 def _fit_across(
@@ -144,17 +151,21 @@ def _fit_across(
     # Headings and places as linear functions of the unknowns: y_0, h_0, curvatures.
     headings = _cumulative(np.diag(speed[:-1] * dt))
     distance = (speed[:-1] + speed[1:]) * dt / 2
-    places = _cumulative((distance * sine_per_heading)[:, None] * headings[:-1])
+    offset_per_heading = distance * sine_per_heading
+    places = _cumulative(offset_per_heading[:, None] * headings[:-1])
 
+    # Penalties, in standard deviations.
     changes = np.diff(identity, axis=0)
-    jerks = changes * speed[1:-1, None] ** 2 / (TRACK_SMOOTHING.lateral_jerk * dt)
+    lateral_jerks = changes * speed[1:-1, None] ** 2
+    jerks = lateral_jerks / (TRACK_SMOOTHING.lateral_jerk * dt)
     curvatures = identity / TRACK_SMOOTHING.curvature
     first_heading = np.eye(1, len(identity) + 1) / TRACK_SMOOTHING.heading
     y, start, *turning = _least_squares(
         places, recorded, jerks, curvatures, first_heading
     )
     limit = TRACK_SMOOTHING.largest_curvature
-    return y, headings @ [start, *np.clip(turning, -limit, limit)]
+    possible_turning = np.clip(turning, -limit, limit)
+    return y, headings @ [start, *possible_turning]
 
 
 def _cumulative(increments: np.ndarray) -> np.ndarray:
@@ -163,8 +174,10 @@ def _cumulative(increments: np.ndarray) -> np.ndarray:
     Args:
         increments: matrix from the unknowns to the increments.
     """
-    sums = np.pad(np.cumsum(increments, axis=0), ((1, 0), (0, 0)))
-    return np.column_stack([np.ones(len(sums)), sums])
+    sums = np.cumsum(increments, axis=0)
+    with_start = np.pad(sums, ((1, 0), (0, 0)))
+    per_initial = np.ones(len(with_start))
+    return np.column_stack([per_initial, with_start])
 
 
 def _least_squares(
@@ -180,11 +193,16 @@ def _least_squares(
         penalties: matrices from the last of the unknowns to errors in standard
             deviations.
     """
+    # Errors of position and penalties, as rows of one system.
     unknowns = positions.shape[1]
-    padded = [
-        np.pad(part, ((0, 0), (unknowns - part.shape[1], 0))) for part in penalties
-    ]
-    matrix = np.vstack([positions / TRACK_SMOOTHING.position_error, *padded])
-    missing = len(matrix) - len(recorded)
-    errors = np.pad(recorded / TRACK_SMOOTHING.position_error, (0, missing))
-    return np.linalg.lstsq(matrix, errors)[0]
+    rows = [positions / TRACK_SMOOTHING.position_error]
+    for penalty in penalties:
+        first_unknowns = unknowns - penalty.shape[1]
+        rows.append(np.pad(penalty, ((0, 0), (first_unknowns, 0))))
+    matrix = np.vstack(rows)
+
+    # Penalties are to be 0.
+    rows_of_penalties = len(matrix) - len(recorded)
+    scaled = recorded / TRACK_SMOOTHING.position_error
+    targets = np.pad(scaled, (0, rows_of_penalties))
+    return np.linalg.lstsq(matrix, targets)[0]
