@@ -46,7 +46,7 @@ from ms_highway.loop.controller import (
     draw_key,
     function_names,
 )
-from ms_highway.loop.driver import Driver, drivable
+from ms_highway.loop.driver import Driver, prepared_rule
 from ms_highway.planning.ladders import human_model, is_model, model_names
 from ms_highway.runtime.limits import NotNegative
 
@@ -337,7 +337,7 @@ class ControllerSettings:
             )
             raise ValueError(f"an agent acts from outside; {remedy}")
         if self.predicts:
-            drivable(self.rule(start), self.belief)
+            prepared_rule(self.rule(start), self.belief)
 
     def driver(
         self,

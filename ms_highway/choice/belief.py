@@ -41,7 +41,10 @@ from ms_highway.runtime.arrays import (
     State,
 )
 
-RESPONDING = [ModelIndex(PACKAGE_MODELS.index(name)) for name in ("turn", "tom")]
+RESPONDING = [
+    ModelIndex(PACKAGE_MODELS.index("turn")),
+    ModelIndex(PACKAGE_MODELS.index("tom")),
+]
 """Models in which the human plans for its reward."""
 
 
@@ -92,28 +95,34 @@ def next_controls(
         state: all cars.
         robot: scaled controls that the robot follows from this state on.
     """
-    shortened = game.planner.horizon > INFERENCE.lookahead
+    is_shortened = game.planner.horizon > INFERENCE.lookahead
     game = _with_short_plans(game)
     planner = game.planner
 
     def predict(human: Index) -> Float[jax.Array, "models 2"]:
         human_game, seen = swap_players(game, state, human)
-        if shortened:
+        if is_shortened:
             start = constant_velocity(human_game, seen[0])
         else:
             start = jnp.zeros((planner.horizon, 2))
 
-        def answer(robot: Controls) -> Control:
+        def plan_first(robot: Controls) -> Control:
             """Return the first control of the human's plan against these controls."""
-            first_plan = Plan(start, robot[None])
-            solution = plan_against(human_game, seen, robot[None], first_plan)
-            return solution.plan.robot[0] * planner.control_scale
+            others = robot[None]  # to the human, the robot is the only partner
+            first_plan = Plan(start, others)
+            solution = plan_against(human_game, seen, others, first_plan)
+            own_controls = solution.plan.robot
+            return own_controls[0] * planner.control_scale
 
+        # The human plans for its reward, and expects one of these of the robot.
         robot_keeps_velocity = constant_velocity(human_game, seen[1])
         robot_follows_plan = robot[: planner.horizon]
-        turn = answer(robot_keeps_velocity)
-        tom = answer(robot_follows_plan)
-        idm = following_control(*pair(game, state, human))
+        turn = plan_first(robot_keeps_velocity)
+        tom = plan_first(robot_follows_plan)
+
+        # The human does not plan.
+        idm_game, idm_state = pair(game, state, human)
+        idm = following_control(idm_game, idm_state)
         naive = keep_velocity(game.dynamics, seen[0])
         return jnp.stack([naive, idm, turn, tom])
 
@@ -126,10 +135,15 @@ def _with_short_plans(game: Game) -> Game:
     steps = min(planner.horizon, INFERENCE.lookahead)
     if steps == planner.horizon and isinstance(planner.solver, Ascent):
         return game
-    iterations, usual = gradient_steps(PlanningSettings(steps))
-    length = jnp.minimum(usual, longest_step(steps, game.dynamics.time_step))
-    solver = Ascent(length, iterations, smooth=planner.solver.smooth)
-    return replace(game, planner=replace(planner, horizon=steps, solver=solver))
+
+    # Gradient steps that do not overshoot an optimum over this horizon.
+    iterations, usual_size = gradient_steps(PlanningSettings(steps))
+    largest_size = longest_step(steps, game.dynamics.time_step)
+    step_size = jnp.minimum(usual_size, largest_size)
+    solver = Ascent(step_size, iterations, smooth=planner.solver.smooth)
+
+    short_planner = replace(planner, horizon=steps, solver=solver)
+    return replace(game, planner=short_planner)
 
 
 def updated_probabilities(
@@ -159,14 +173,23 @@ def updated_probabilities(
     noise = xp.asarray(INFERENCE.control_noise)
     error = (predicted - observed[..., None, :]) / noise
     log_likelihood = -xp.sum(error**2, axis=-1) / 2
-    known = xp.all(xp.isfinite(log_likelihood), axis=-1, keepdims=True)
-    log_likelihood = xp.where(known, log_likelihood, xp.zeros_like(log_likelihood))
 
-    # p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum, with no model excluded.
+    # A control that is not finite favours no model.
+    is_finite = xp.isfinite(log_likelihood)
+    known = xp.all(is_finite, axis=-1, keepdims=True)
+    equal = xp.zeros_like(log_likelihood)
+    log_likelihood = xp.where(known, log_likelihood, equal)
+
+    # p(m) <- p(m) N(u; u_m, diag(noise^2)) / sum. Dividing all likelihoods by the
+    # highest one rules out underflow.
     highest = xp.max(log_likelihood, axis=-1, keepdims=True)
-    joint = mixed * xp.exp(log_likelihood - highest)
+    likelihood = xp.exp(log_likelihood - highest)
+    joint = mixed * likelihood
     normalised = joint / xp.sum(joint, axis=-1, keepdims=True)
-    bounded = xp.maximum(normalised, xp.asarray(INFERENCE.min_probability))
+
+    # No model is excluded.
+    lowest = xp.asarray(INFERENCE.min_probability)
+    bounded = xp.maximum(normalised, lowest)
     return bounded / xp.sum(bounded, axis=-1, keepdims=True)
 
 
@@ -187,7 +210,7 @@ def infer_models(
 
     Args:
         game: game with the rewards that the robot believes the humans to have.
-        probabilities: before the step.
+        probabilities: probabilities before the step.
         before: all cars before the step.
         after: all cars after it.
         robot: scaled controls of the robot's plan for this step and the following ones.
@@ -202,8 +225,6 @@ def infer_models(
 def likely_to_respond(
     probabilities: Float[SameArray, "humans models"],
 ) -> Bool[Array, "humans"]:
-    """Return which humans plans may count on to respond.
-
-    They are those whose controls turn and tom explain.
-    """
-    return probabilities[:, RESPONDING].sum(axis=1) >= INFERENCE.min_response
+    """Return the humans on whose response plans may rely: turn or tom explains them."""
+    responds = probabilities[:, RESPONDING].sum(axis=1)
+    return responds >= INFERENCE.min_response

@@ -12,7 +12,7 @@ from jax import numpy as jnp
 from msgspec import Meta
 
 from ms_highway.choice.rule import NOT_ESTIMATED, Chooser, GameEvidence, Memory, Priced
-from ms_highway.choice.situation import nearness
+from ms_highway.choice.situation import distance_rank
 from ms_highway.planning.costs import Costs
 from ms_highway.runtime.arrays import Gains, Rungs
 
@@ -24,11 +24,11 @@ Humans = Annotated[
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class Price(Priced[object]):
-    """Take the most expensive rung that is worth more than the rung in use, or stay.
+    """Take the highest rung that is worth more than the rung in use, or stay.
 
-    The worth of a rung is its gain less the price of its time, for each human alone. So
-    Algorithm 1 goes to the top rung if that is worth more, or else one rung down if
-    that is, as it estimates no other rung.
+    The worth of a rung is its gain less the price of its time, for each human alone.
+    The paper's Algorithm 1 (`ms_highway.choice.quadratic`) estimates only the top rung
+    and the one below the rung in use: it goes to the top, or else one rung down.
     """
 
     def choose(
@@ -41,27 +41,33 @@ class Price(Priced[object]):
         """Choose among the rungs with an estimate and a cost."""
         each = jnp.asarray(costs.each)  # [rungs]
         in_use = jnp.asarray(memory.rungs)[:, None]  # [humans, 1]
-        places = jnp.arange(len(each))
+        rungs = jnp.arange(len(each))
 
         # Gain of the rung in use. Without a new estimate, the remembered one counts.
         own = jnp.take_along_axis(gains, in_use, axis=1)
-        own = jnp.where(jnp.isfinite(own), own, jnp.asarray(memory.gain)[:, None])
+        remembered = jnp.asarray(memory.gain)[:, None]
+        own = jnp.where(jnp.isfinite(own), own, remembered)
 
         # What each rung is worth more than that one, [humans, rungs].
         known = gains > NOT_ESTIMATED
         gained = jnp.where(known, gains, own) - own
-        worth = gained - self.price * (each - each[in_use])
-        best = jnp.where(known & (worth > 0), places, -1).max(axis=1)
-        return jnp.where(best >= 0, best, in_use[:, 0])
+        more_time = each - each[in_use]
+        worth = gained - self.price * more_time
+
+        # The highest of the rungs that are worth more; -1 stands for none.
+        is_better = known & (worth > 0)
+        highest = jnp.where(is_better, rungs, -1).max(axis=1)
+        return jnp.where(highest >= 0, highest, in_use[:, 0])
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PriceFromFirst(Priced[object]):
-    """Take the most expensive rung whose gain over the first one is worth its time.
+    """Take the highest rung whose gain over the first one is worth its whole time.
 
-    The rung in use does not matter: where humans come and go, as on stock roads, it may
-    be another one's.
+    Time is not counted from that of the first rung on: among several humans, the first
+    rung costs nothing. The rung in use does not matter: where humans come and go, as on
+    stock roads, it may be another human's.
     """
 
     def choose(
@@ -73,23 +79,24 @@ class PriceFromFirst(Priced[object]):
     ) -> Rungs:
         """Choose for each human alone; without such a rung, it is the first one."""
         prices = self.price * jnp.asarray(costs.each)
-        places = jnp.arange(gains.shape[1])
-        return jnp.where(gains >= prices, places, 0).max(axis=1)
+        rungs = jnp.arange(gains.shape[1])
+        is_worth = gains >= prices  # [humans, rungs]
+        return jnp.where(is_worth, rungs, 0).max(axis=1)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class PriceTogether(Priced[GameEvidence]):
-    """Take one rung for some of the nearest humans together, whichever are worth most.
+    """Give one higher rung to the k nearest humans, and the first rung to all others.
 
-    All others get the first rung. The worth of a rung is its gain less the price of its
-    time, and that of a human without estimates is 0. For each rung, the worths are
-    added up from the nearest human outwards. The rung and the number of humans with the
-    highest sum are chosen.
+    The worth of a rung is its gain less the price of its time. For each rung, the
+    worths are added up from the nearest human outwards; k and the rung have the highest
+    sum. A human for whom a gain or a cost is unknown adds nothing to it, but gets the
+    rung if farther humans raise the sum.
 
     Attributes:
-        most_humans: largest number of humans, the nearest ones, with a higher rung than
-            the first. A gap may open only if two of them yield together.
+        most_humans: largest k. The networks that come with the package were learned for
+            this number of the nearest humans.
     """
 
     most_humans: ClassVar[int] = 4
@@ -102,20 +109,23 @@ class PriceTogether(Priced[GameEvidence]):
         evidence: GameEvidence,
     ) -> Rungs:
         """Choose by the distances after the last step."""
-        rank = nearness(evidence.game, evidence.outcome.after)
+        rank = distance_rank(evidence.game, evidence.outcome.after)
         nearest = jnp.argsort(rank)[: self.most_humans]
         gained = gains[nearest]  # [nearest, rungs]
-        net = gained - jnp.asarray(costs.each)
-        known = jnp.isfinite(net).all(axis=1, keepdims=True)
+        is_known = jnp.isfinite(gained - jnp.asarray(costs.each))
+        known = is_known.all(axis=1, keepdims=True)
 
         # What each rung is worth more than the first one.
-        values = jnp.where(known, gained, 0.0) - self.price * jnp.asarray(costs.each)
-        worth = jnp.where(known, values - values[:, :1], 0.0)
+        prices = self.price * jnp.asarray(costs.each)
+        net_gains = jnp.where(known, gained, 0.0) - prices
+        worth = jnp.where(known, net_gains - net_gains[:, :1], 0.0)
 
-        # The same for a human and all nearer ones.
+        # The same for a human and all nearer ones together. The first rung is worth 0,
+        # so it wins where nothing is worth its price.
         totals = jnp.cumsum(worth, axis=0)
-        fewer, rung = jnp.unravel_index(jnp.argmax(totals), totals.shape)
-        return jnp.where(rank <= fewer, rung, 0).astype(jnp.int32)
+        best = jnp.argmax(totals)
+        farthest, rung = jnp.unravel_index(best, totals.shape)
+        return jnp.where(rank <= farthest, rung, 0).astype(jnp.int32)
 
 
 @jax.tree_util.register_dataclass
@@ -137,6 +147,6 @@ class Nearest(Chooser[GameEvidence]):
         evidence: GameEvidence,
     ) -> Rungs:
         """Choose by the distances after the last step."""
-        rank = nearness(evidence.game, evidence.outcome.after)
+        rank = distance_rank(evidence.game, evidence.outcome.after)
         top = gains.shape[1] - 1
         return jnp.where(rank < self.count, top, 0)

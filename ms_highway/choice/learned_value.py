@@ -1,16 +1,19 @@
 """Choose models by a learned value of computation, and keep it in files.
 
-The value of computation (Russell and Wefald 1991; Callaway et al. 2018) of a rung is
-how much more the robot earns per step if this rung, instead of the cheapest one,
-predicts a human, while the same rung predicts all nearer humans. Networks estimate it
-from the situation of the human (`ms_highway.choice.situation`); several of them, so
-that their disagreement tells how doubtful an estimate is.
+A rung is the index of a human model on the ladder, from cheap to expensive models. The
+gain of a rung is the value of its computation (Russell and Wefald 1991; Callaway et al.
+2018) before the cost of time: how much more the robot earns per step if this rung,
+instead of the first one, predicts a human, while the same rung predicts all nearer
+humans. Networks estimate it from the situation of the human
+(`ms_highway.choice.situation`); several of them, so that their disagreement tells how
+uncertain an estimate is.
 
-A gap may open only if two humans yield together. Therefore,
-`ms_highway.choice.choosers.PriceTogether` chooses for the nearest humans together.
+These gains are marginal: those of the k nearest humans add up to the gain of giving all
+k the rung, which `ms_highway.choice.choosers.PriceTogether` maximises. So a rung may
+pay for two humans if only both of them together open a gap.
 
-`Values` are what was learned, as it stands in files; `LearnedValue` is the estimator
-that a rule gets of them, for the ladder of an episode.
+`Values` is the content of a file. `LearnedValue` is the estimator: it names a file
+until an episode starts, and then holds the networks for the ladder of the episode.
 """
 
 import json
@@ -42,7 +45,7 @@ from ms_highway.choice.rule import (
     Start,
 )
 from ms_highway.choice.shipped import VALUE_FILES, SceneKind, shipped_kind
-from ms_highway.choice.situation import describe, description_names, nearness
+from ms_highway.choice.situation import describe, description_names, distance_rank
 from ms_highway.game.scenario import Semantics
 from ms_highway.planning.costs import Costs
 from ms_highway.planning.human_models import HumanModel
@@ -69,26 +72,26 @@ def outputs(
     network: Network,
     inputs: Float[jax.Array, "inputs"],
 ) -> tuple[Float[jax.Array, "networks means"], Float[jax.Array, "networks means"]]:
-    """Return what each network expects for the same inputs, and how sure it is.
+    """Return the mean that each network predicts, and its raw standard deviation.
 
-    The second result are numbers from which `noise` computes standard deviations.
+    `noise` computes the standard deviation from the raw one.
     """
     *hidden, (weights, biases) = network
-    values = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
+    activations = jnp.broadcast_to(inputs, (len(biases), *inputs.shape))
     for layer_weights, layer_biases in hidden:
-        sums = jnp.einsum("ni,nio->no", values, layer_weights)
-        values = jnp.tanh(sums + layer_biases)
-    both = jnp.einsum("ni,nio->no", values, weights) + biases
-    means, spreads = jnp.split(both, 2, axis=-1)
-    return means, spreads
+        sums = jnp.einsum("ni,nio->no", activations, layer_weights)
+        activations = jnp.tanh(sums + layer_biases)
+    both = jnp.einsum("ni,nio->no", activations, weights) + biases
+    means, raw_stds = jnp.split(both, 2, axis=-1)
+    return means, raw_stds
 
 
-def noise(spreads: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
-    """Return standard deviations of outcomes from the spreads of `outputs`.
+def noise(raw_stds: Float[jax.Array, "*shape"]) -> Float[jax.Array, "*shape"]:
+    """Return standard deviations of outcomes from the raw ones of `outputs`.
 
-    None is smaller than a gain that counts as nothing.
+    The floor is `Budget.little_gain`, the gain that counts as nothing.
     """
-    return Budget.little_gain + jax.nn.softplus(spreads)
+    return Budget.little_gain + jax.nn.softplus(raw_stds)
 
 
 # The estimator
@@ -101,21 +104,24 @@ ValuesFile = Annotated[
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class LearnedValue(Estimator[GameEvidence]):
-    """Expect gains by networks, from the situation of each human.
+    """Estimate gains by networks, from the situation of each human.
 
-    The gain of a rung is what the networks expect over the first one, on average, less
-    a margin for doubt.
+    The gain of a rung over the first one is a lower confidence bound: the mean over the
+    networks, less a margin for their disagreement.
 
     Attributes:
-        values: ``"shipped"``, which None and ``""`` mean as well, or a file; None in an
-            episode, where the networks stand for it (static).
-        margin: how much doubt lowers a gain, in standard deviations among the networks.
+        values: file of learned values, or ``"shipped"`` for the package's file for the
+            kind of scene. None and ``""`` mean the package's file as well, but allow a
+            longer ladder among several humans, see `values_for`. None in an episode,
+            where the networks stand for it (static).
+        margin: how much disagreement lowers a gain, in standard deviations among the
+            means of the networks.
         nearest: number of the nearest humans for whom gains are estimated; None for all
             (static).
         network: networks that estimate the gains over the first rung from
             `ms_highway.choice.situation.describe`; none outside an episode.
-        centre, spread: mean and standard deviation by which the inputs of the networks
-            are standardised; None outside an episode.
+        input_mean, input_std: mean and standard deviation by which the inputs of the
+            networks are standardised; None outside an episode.
     """
 
     values: ValuesFile = field(default=None, metadata={"static": True})
@@ -124,23 +130,28 @@ class LearnedValue(Estimator[GameEvidence]):
         default=PriceTogether.most_humans, metadata={"static": True} | FROM_START
     )
     network: Network = field(default=(), metadata=FROM_START)
-    centre: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
-    spread: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
+    input_mean: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
+    input_std: Float[Array, "inputs"] | None = field(default=None, metadata=FROM_START)
 
     def __post_init__(self) -> None:
+        # Refuse a file that cannot be read now; what was read is cached.
         if self.values and self.values != SHIPPED_VALUES:
             load_values(self.values)
 
     def values_for(self, start: Start) -> "Values":
         """Return the values of the file, or the shipped values for a kind of scene.
 
-        Among several humans, those of physical semantics know fewer models; longer
-        ladders take those of the paper's.
+        Shipped values for several humans under physical semantics were learned on a
+        shorter ladder. If a model is not on it, those under the paper's semantics are
+        taken, unless ``values`` is an explicit ``"shipped"``.
         """
         kind = shipped_kind(start.semantics, start.humans)
         found = load_values(self.values or SHIPPED_VALUES, kind)
+
         names = {model.name for model in start.ladder}
-        if not self.values and start.humans > 1 and not names <= {*found.ladder}:
+        lacks_model = not names <= {*found.ladder}
+        may_fall_back = not self.values and start.humans > 1
+        if may_fall_back and lacks_model:
             return load_values(SHIPPED_VALUES, "several")
         return found
 
@@ -148,38 +159,43 @@ class LearnedValue(Estimator[GameEvidence]):
         """Return the estimator with the networks of its values.
 
         Args:
-            start: of an episode; its ladder is that of the estimator.
+            start: start of an episode, whose ladder the estimator gets.
 
         Raises:
-            ValueError: see `Values.estimator`.
+            ValueError: see `load_values` and `Values.estimator`.
         """
         networks = self.values_for(start).estimator(start.ladder)
         return replace(networks, margin=self.margin, nearest=self.nearest)
 
     def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
-        """Estimate by the state after the last step."""
+        """Estimate the gains of all rungs in the present state."""
         gains = jnp.full(memory.last_check.shape, NOT_ESTIMATED)  # [humans, rungs]
-        if gains.shape[1] == 1:
+        if gains.shape[1] == 1:  # with one model, nothing can be gained
             return Estimate(gains, jnp.bool(False))
 
-        # What each network expects for the nearest humans.
+        # Describe the situations of the nearest humans.
         game = evidence.game
-        after = evidence.outcome.after
-        nearest = jnp.argsort(nearness(game, after))[: self.nearest]
-        assert self.centre is not None
-        assert self.spread is not None
-        described = describe(game, after, nearest)  # [nearest, inputs]
-        inputs = (described - self.centre) / self.spread
+        state = evidence.outcome.after
+        rank = distance_rank(game, state)
+        nearest = jnp.argsort(rank)[: self.nearest]
+        described = describe(game, state, nearest)  # [nearest, inputs]
+        assert self.input_mean is not None
+        assert self.input_std is not None
+        inputs = (described - self.input_mean) / self.input_std
+
+        # Mean of each network: [nearest, networks, rungs above the first]. The noise
+        # that they predict serves learning alone.
         means, _ = jax.vmap(partial(outputs, self.network))(inputs)
 
-        # Their mean and their disagreement, 0 for the first rung.
+        # Mean over the networks and their disagreement, 0 for the first rung.
         expected = _with_first_rung(jnp.mean(means, axis=1))  # [nearest, rungs]
-        doubts = _with_first_rung(jnp.std(means, axis=1))
+        disagreement = _with_first_rung(jnp.std(means, axis=1))
 
-        # A doubtful gain counts less. Situations without finite numbers have none.
+        # Lower confidence bound. Where a number is not finite, no gain is estimated.
         known = jnp.isfinite(expected).all(axis=1, keepdims=True)
-        cautious = expected - self.margin * doubts
-        gains = gains.at[nearest].set(jnp.where(known, cautious, NOT_ESTIMATED))
+        lower_bound = expected - self.margin * disagreement
+        estimated = jnp.where(known, lower_bound, NOT_ESTIMATED)
+        gains = gains.at[nearest].set(estimated)
         return Estimate(gains, ~known.all())
 
 
@@ -203,7 +219,7 @@ class ValuesFormat:
     max_bytes: int = 2**24
     """Largest size of an unpacked file; the package's files have a hundredth."""
 
-    min_spread: float = 1e-9
+    min_std: float = 1e-9
     """Least standard deviation of an input; it rules out overflow."""
 
     max_number: float = 1e9
@@ -221,11 +237,12 @@ VALUES_FORMAT = ValuesFormat()
 
 @dataclass(frozen=True)
 class Values:
-    """Result of ``ms-highway values learn``.
+    """Result of ``ms-highway values learn``, the content of a file.
 
     Attributes:
         network: see `LearnedValue`.
-        centre, spread: mean and standard deviation of its inputs.
+        input_mean, input_std: mean and standard deviation of its inputs; in files,
+            ``centre`` and ``spread``.
         ladder: names of the models that the values were learned on, cheapest first.
         inputs: names of the network's inputs.
         provenance: scenarios, settings and software versions with which the values were
@@ -234,8 +251,8 @@ class Values:
     """
 
     network: Network
-    centre: Float[np.ndarray, "inputs"]
-    spread: Float[np.ndarray, "inputs"]
+    input_mean: Float[np.ndarray, "inputs"]
+    input_std: Float[np.ndarray, "inputs"]
     ladder: tuple[str, ...]
     inputs: tuple[str, ...]
     provenance: Mapping[str, Any]
@@ -260,9 +277,12 @@ class Values:
     def _check_shapes(self) -> None:
         """Check that the layers fit each other, the inputs and the ladder.
 
-        For each rung above the first, the last layer gives a mean and a spread.
+        For each rung above the first, the last layer gives a mean and a raw standard
+        deviation.
         """
-        shapes = [np.shape(part) for layer in self.network for part in layer]
+        shapes = []
+        for weights, biases in self.network:
+            shapes += [np.shape(weights), np.shape(biases)]
         networks = shapes[0][:1] if shapes else ()
 
         # Numbers of inputs and outputs of the layers, as the shapes of biases tell.
@@ -270,6 +290,7 @@ class Values:
         for bias_shape in shapes[1::2]:
             sizes += bias_shape[-1:]
 
+        # Shapes of weights and biases, layer by layer.
         expected = []
         for inputs, outputs in pairwise(sizes):
             expected += [(*networks, inputs, outputs), (*networks, outputs)]
@@ -284,7 +305,7 @@ class Values:
     def _check_numbers(self) -> None:
         """Check that all numbers are within the limits of `ValuesFormat`."""
         limits = VALUES_FORMAT
-        for scale in (self.centre, self.spread):
+        for scale in (self.input_mean, self.input_std):
             one_each = np.shape(scale) == (len(self.inputs),)
             if not one_each or not (np.abs(scale) <= limits.max_number).all():
                 raise ValueError(
@@ -297,14 +318,14 @@ class Values:
                     f"the weights of the networks are beyond {limits.max_weight:g}, or"
                     " not finite"
                 )
-        if np.min(self.spread) < limits.min_spread:
-            raise ValueError(f"spreads are below {limits.min_spread:g}")
+        if np.min(self.input_std) < limits.min_std:
+            raise ValueError(f"spreads are below {limits.min_std:g}")
 
     def estimator(self, models: tuple[HumanModel, ...]) -> LearnedValue:
         """Return the estimator on a ladder of learned models.
 
         Args:
-            models: that were learned; the first is the cheapest of those learned.
+            models: part of the learned ladder, with the same first model.
 
         Raises:
             ValueError: if values of a model were not learned, or the ladder begins with
@@ -313,14 +334,18 @@ class Values:
         names = [model.name for model in models]
         self._check_ladder(names)
 
-        # Keep the outputs of these models: their means, then their spreads.
+        # Select the outputs of these models: their means, then their raw deviations.
         gains = len(self.ladder) - 1
         means = [self.ladder.index(name) - 1 for name in names[1:]]
-        spreads = [gains + place for place in means]
-        kept = means + spreads
+        raw_stds = [gains + mean for mean in means]
+        selected = means + raw_stds
         *hidden, (weights, biases) = self.network
-        network = (*hidden, (weights[..., kept], biases[..., kept]))
-        return LearnedValue(network=network, centre=self.centre, spread=self.spread)
+        last = (weights[..., selected], biases[..., selected])
+        return LearnedValue(
+            network=(*hidden, last),
+            input_mean=self.input_mean,
+            input_std=self.input_std,
+        )
 
     def _check_ladder(self, names: list[str]) -> None:
         """Check that values of these models were learned over the first of them."""
@@ -370,7 +395,7 @@ class _Provenance(TypedDict, total=False):
 
 
 class _About(Structure):
-    """Description in a file of values; the fields are those of `Values`."""
+    """Description in a file of values, with the same fields as `Values`."""
 
     ladder: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -385,8 +410,8 @@ def save_values(values: Values, path: Path) -> None:
 
     arrays: dict[str, Any] = {
         "about": np.array(json.dumps(about, default=dict)),
-        "centre": values.centre,
-        "spread": values.spread,
+        "centre": values.input_mean,
+        "spread": values.input_std,
     }
     for number, (weights, biases) in enumerate(values.network):
         arrays[f"weights_{number}"] = np.asarray(weights)
@@ -421,7 +446,10 @@ def _shipped(name: str) -> Values:
 
 @cache
 def _read(path: Path, content: str) -> Values:
-    """Read a file once for every content, whose digest is given."""
+    """Read a file, once for each path and content, whose digest is given.
+
+    The package's own files do not change, so that they need no digest.
+    """
     arrays = read_arrays(path, VALUES_FORMAT.max_bytes)
 
     # The version first, as files of another one may have any other content.
@@ -438,8 +466,8 @@ def _read(path: Path, content: str) -> Values:
         single = {name: array.astype(np.float32) for name, array in arrays.items()}
     numbers = read_only(single)
 
-    centre = numbers.pop("centre")
-    spread = numbers.pop("spread")
+    input_mean = numbers.pop("centre")
+    input_std = numbers.pop("spread")
     layers = range(len(numbers) // 2)
     network = tuple((numbers[f"weights_{n}"], numbers[f"biases_{n}"]) for n in layers)
 
@@ -447,8 +475,8 @@ def _read(path: Path, content: str) -> Values:
     described = read(about, _About)
     return Values(
         network,
-        centre,
-        spread,
+        input_mean,
+        input_std,
         described.ladder,
         described.inputs,
         described.provenance,

@@ -31,7 +31,9 @@ NOT_ESTIMATED = -np.inf
 """
 
 NEVER = -(2**20)
-"""Step that stands for the last check if there was none. Cooldowns are shorter."""
+"""Step that stands for the last check if there was none. It is so far back that every
+cooldown is over.
+"""
 
 Cars = TypeVar("Cars")
 """All cars at one moment: a `State` in games, a scene of perception on stock roads."""
@@ -43,12 +45,13 @@ class Memory(NamedTuple):
     Attributes:
         rungs: rung of every human in the plan of the last step; in a `Decision`, for
             the coming step.
-        step: number of the coming step, from 0.
-        last_check: per human and rung: the last step in which, with this rung in use,
-            the rung below was estimated and the rule did not go up.
+        step: index of the coming step, from 0.
+        last_check: for the cooldown of `ms_highway.choice.quadratic.Quadratic`, per
+            human and rung: number, from 1, of the last step in which the rung was in
+            use, the one below was estimated, and the rule did not go up.
         gain: for every human, the gain over the first rung that was estimated for the
-            rung in use, when it was last estimated; 0 for the first rung, and if there
-            was no estimate.
+            rung in use, when it was last estimated; 0 for the first rung, if there was
+            no estimate, and if another rung than the chosen one is used.
     """
 
     rungs: Rungs
@@ -68,7 +71,7 @@ class Outcome(NamedTuple, Generic[Cars]):
         after: all cars after it.
         robot: scaled control that the robot executed.
         humans: scaled controls of the humans, as observed.
-        reward: the robot's reward after the step.
+        reward: the robot's reward in the state after the step.
         plan: plan that the robot followed, with the controls that it expected of the
             humans.
     """
@@ -87,8 +90,8 @@ class GameEvidence:
     """What rules see where the robot plays a game.
 
     Attributes:
-        game: with the humans' rewards as the robot believes them.
-        outcome: of the last step.
+        game: game with the humans' rewards as the robot believes them.
+        outcome: outcome of the last step.
         ladder: the rule's human models, cheapest first (static).
     """
 
@@ -102,8 +105,11 @@ class Estimate(NamedTuple):
 
     Attributes:
         gains: for every human, how much more reward per step each rung earns than the
-            first rung, before the price of its time. The gain of the first rung is 0
-            where it is estimated. `NOT_ESTIMATED` where none is.
+            first rung, before the price of its time. What it assumes of the rungs of
+            the other humans is the estimator's matter: with those of
+            `ms_highway.choice.learned_value`, all nearer humans have the same rung. The
+            gain of the first rung is 0 where it is estimated. `NOT_ESTIMATED` where
+            none is.
         failed: whether a gain that was asked for could not be computed.
     """
 
@@ -115,7 +121,8 @@ class Decision(NamedTuple):
     """Rungs of the coming step, and the gains by which they were chosen.
 
     Attributes:
-        memory: memory with the rungs for the coming step. The caller counts the steps.
+        memory: memory with the rungs for the coming step. Its ``step`` is that of
+            before; `ms_highway.loop.step.step` counts.
         gains: see `Estimate`; `NOT_ESTIMATED` for all rungs of a rule without an
             estimator.
         failed: see `Estimate`.
@@ -131,8 +138,8 @@ class Start(NamedTuple):
 
     Attributes:
         ladder: human models to choose from, cheapest first.
-        costs: of plans with them, NaN where unknown.
-        semantics: of the scenario.
+        costs: planning times with these models, NaN where unknown.
+        semantics: semantics of the scenario.
         humans: number of humans.
         steps: number of steps of the episode.
         random: source of the draws.

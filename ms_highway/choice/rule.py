@@ -1,15 +1,16 @@
 """Define rules, which choose the model of every human for the coming step.
 
-A `Rule` has two parts. Its `Estimator` says what each rung of the ladder would gain for
-each human over the first rung, before any price. Its `Chooser` takes these gains and
-what the rungs cost, and returns rungs. A part may need evidence, a type of its own: in
-games the last step, a `GameEvidence`; on stock roads the bounds of proposals, see
-`ms_highway.road.settings`.
+A rung is the index of a human model on the rule's ladder, from cheap to expensive
+models. A `Rule` has two parts. Its `Estimator` says what each rung would gain for each
+human over the first rung, before any price. Its `Chooser` takes these gains and what
+the rungs cost, and returns rungs. A part may need evidence, a type of its own: in games
+the last step, a `GameEvidence`; on stock roads upper bounds on what a better prediction
+could gain, see `ms_highway.road.settings`.
 
 `decide` lets a rule choose: estimate, choose, and remember.
 
-All controls are scaled, see `ms_highway.game.game`. A rung is the place of a model on
-the rule's ladder. What rules take and return is in `ms_highway.choice.records`.
+All controls are scaled, see `ms_highway.game.game`. What rules take and return is in
+`ms_highway.choice.records`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -33,7 +34,7 @@ from ms_highway.choice.records import (
     Start,
 )
 
-# its home before version 3.1
+# It was defined here before version 3.1, and stays importable.
 from ms_highway.choice.shipped import PUBLISHED_COSTS as PUBLISHED_COSTS
 from ms_highway.game.game import Game
 from ms_highway.planning.costs import UNKNOWN, Costs
@@ -57,8 +58,7 @@ DERIVE = (
 """What to derive a rule of one's own from, for messages."""
 
 FROM_START: dict[str, bool] = {"from_start": True}
-"""Metadata of a field that configurations cannot set: code or the start of an episode
-does, see `Part.at_start`."""
+"""Metadata of a field that only code or `Part.at_start` may set, not configurations."""
 
 
 # The parts of a rule
@@ -71,8 +71,8 @@ class Part:
     """A part of a rule: a frozen dataclass and a pytree with pure methods.
 
     Its fields are keys of ``config["controller"]``, except those with the metadata
-    `FROM_START`; a field ``price`` is the key ``lambda``. Annotations with a
-    `msgspec.Meta` limit them, and its ``description`` says what to give instead.
+    `FROM_START`; a field ``price`` is the key ``lambda``. A `msgspec.Meta` in its
+    annotation limits a field; the ``description`` there says what to give instead.
 
     Attributes:
         tag: name in configurations and commands, given as ``class Near(Chooser,
@@ -95,9 +95,10 @@ class Part:
 
 
 class Estimator(Part, Generic[Evidence]):
-    """Say what each rung would gain for each human, whatever its price.
+    """Estimate how much more the robot earns if a rung predicts a human.
 
-    An estimator works for any number of humans.
+    This is the gain in reward per step over the first rung, whatever the price. An
+    estimator works for any number of humans.
     """
 
     def estimate(self, memory: Memory, evidence: Evidence) -> Estimate:
@@ -161,7 +162,7 @@ class Rule(Generic[Evidence]):
 
     Attributes:
         ladder: human models, cheapest first (static).
-        costs: planning time of each rung [s]; NaN where unknown.
+        costs: planning time that a human adds under each rung [s]; NaN where unknown.
         chooser: chooses the rungs.
         estimator: says what they gain; None if the chooser needs no gains.
     """
@@ -206,9 +207,9 @@ class Rule(Generic[Evidence]):
 
         Raises:
             ValueError: if the ladder holds something else than human models, if the
-                costs are not one for each rung by the names of their models, or if they
-                or the price are negative; if JAX cannot compile a decision that needs
-                it.
+                costs do not name each rung's model exactly once, if they or the price
+                are negative, or if the rule computes and JAX does not know the fields
+                of a part.
         """
         if self.computes:
             compilable(self)
@@ -255,7 +256,8 @@ class Order(Chooser[object]):
         """Return the rungs of this step."""
         xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
         table = xp.asarray(self.rungs)
-        row = table[xp.minimum(memory.step, len(table) - 1)]
+        last_row = len(table) - 1
+        row = table[xp.minimum(memory.step, last_row)]
         return xp.broadcast_to(row, memory.rungs.shape)
 
 
@@ -314,10 +316,10 @@ def decide(
     """Choose the rungs of the coming step in a game, see `decide_on`.
 
     Args:
-        rule: that chooses.
-        game: with the humans' rewards as the robot believes them.
+        rule: rule that chooses.
+        game: game with the humans' rewards as the robot believes them.
         memory: what the rule remembers.
-        outcome: of the last step.
+        outcome: outcome of the last step.
     """
     return decide_on(rule, memory, GameEvidence(game, outcome, rule.ladder))
 
@@ -328,12 +330,12 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     A user's parts get read-only arrays, and their results are checked.
 
     Raises:
-        ValueError: if a part returns arrays of a wrong shape or type; if they are known
-            now, also for numbers that are no rungs, and for gains that are no numbers.
-            Where JAX traces the decision, `refuse_rungs` checks these afterwards.
+        ValueError: if a user's part returns a wrong shape or type; outside of JAX's
+            tracing, also for rungs off the ladder and for gains that are NaN. Where JAX
+            traces the decision, `refuse_rungs` checks these afterwards.
     """
     if rule.estimator is None:
-        gains = _not_estimated(memory)
+        gains = _unknown_gains(memory)
         rungs = _chosen(rule, memory, gains, evidence)
         return unestimated(memory, rungs)
 
@@ -341,8 +343,9 @@ def decide_on(rule: Rule[Evidence], memory: Memory, evidence: Evidence) -> Decis
     gains, failed = _estimated(rule, rule.estimator, memory, evidence)
     rungs = _chosen(rule, memory, gains, evidence)
     if not is_of_package(rule):
-        unknown = are_no_gains(gains).any(axis=1)
-        rungs = jnp.where(unknown, NO_GAINS, rungs)
+        # Traced code cannot raise: mark these humans for `refuse_rungs`.
+        invalid = are_no_gains(gains).any(axis=1)
+        rungs = jnp.where(invalid, NO_GAINS, rungs)
     return Decision(_remembered(memory, rungs, gains), gains, jnp.asarray(failed))
 
 
@@ -352,11 +355,12 @@ def _estimated(
     memory: Memory,
     evidence: Evidence,
 ) -> Estimate:
-    """Return what an estimator says, checked if the estimator is not the package's."""
+    """Return what an estimator says, checked if the estimator is a user's."""
     if checks.is_part_of_package(estimator):
         return estimator.estimate(memory, evidence)
+    own_memory, own_evidence = read_only((memory, evidence))
     with naming_writes(f"the estimator {rule.names.estimator}"):
-        estimate = estimator.estimate(*read_only((memory, evidence)))
+        estimate = estimator.estimate(own_memory, own_evidence)
     return checks.checked_estimate(rule.names, estimate, memory.last_check.shape)
 
 
@@ -366,7 +370,7 @@ def _chosen(
     gains: Gains,
     evidence: Evidence,
 ) -> Rungs:
-    """Return what a chooser says, checked if the chooser is not the package's."""
+    """Return what a chooser says, checked if the chooser is a user's."""
     if checks.is_part_of_package(rule.chooser):
         return rule.chooser.choose(memory, gains, rule.costs, evidence)
     given = read_only((memory, gains, rule.costs, evidence))
@@ -379,21 +383,24 @@ def _remembered(memory: Memory, rungs: Rungs, gains: Gains) -> Memory:
     """Return the memory with new rungs, what was checked, and what the rungs gain."""
     before = jnp.asarray(memory.rungs)
     humans = jnp.arange(len(before))
-    places = jnp.arange(gains.shape[1])
+    ladder = jnp.arange(gains.shape[1])
 
-    # The rung below counts as checked where it was estimated, unless the rule goes up.
-    below = gains[humans, jnp.maximum(before - 1, 0)]
-    checked = (before > 0) & (below != NOT_ESTIMATED) & (rungs <= before)
-    in_use = places == before[:, None]  # [humans, rungs]
-    last_check = jnp.where(
-        checked[:, None] & in_use, memory.step + 1, memory.last_check
-    )
+    # Start the cooldown of Algorithm 1: the rung below counts as checked where it was
+    # estimated, unless the rule goes up.
+    below = jnp.maximum(before - 1, 0)
+    gain_below = gains[humans, below]
+    checked = (before > 0) & (gain_below != NOT_ESTIMATED) & (rungs <= before)
+    in_use = ladder == before[:, None]  # [humans, rungs]
+    is_checked = checked[:, None] & in_use
+    last_check = jnp.where(is_checked, memory.step + 1, memory.last_check)
 
     # Gain of the new rung. Without an estimate, a rung that stays keeps the remembered
     # one.
-    gain = gains[humans, jnp.clip(rungs, 0, gains.shape[1] - 1)]
-    known = jnp.where(rungs == before, memory.gain, 0.0)
-    gain = jnp.where(jnp.isfinite(gain), gain, known).astype(jnp.float32)
+    top = gains.shape[1] - 1
+    estimated = gains[humans, jnp.clip(rungs, 0, top)]
+    remembered = jnp.where(rungs == before, memory.gain, 0.0)
+    gain = jnp.where(jnp.isfinite(estimated), estimated, remembered)
+    gain = gain.astype(jnp.float32)
     return memory._replace(rungs=rungs, last_check=last_check, gain=gain)
 
 
@@ -410,15 +417,15 @@ def first_memory(rule: Rule[Evidence], humans: int) -> Memory:
     )
 
 
-def _not_estimated(memory: Memory) -> Gains:
-    """Return gains of which none is known."""
+def _unknown_gains(memory: Memory) -> Gains:
+    """Return gains of all humans and rungs, none of them estimated."""
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
     return xp.full(memory.last_check.shape, NOT_ESTIMATED, dtype=xp.float32)
 
 
 def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     """Return the decision for these rungs, without estimated gains."""
-    gains = _not_estimated(memory)
+    gains = _unknown_gains(memory)
     xp = memory.last_check.__array_namespace__()  # of NumPy or JAX
 
     # Whole numbers of 64 bits would be cut to 32, which could make rungs of them.
@@ -432,7 +439,7 @@ def unestimated(memory: Memory, rungs: Rungs) -> Decision:
     return Decision(memory._replace(rungs=rungs), gains, xp.asarray(False))
 
 
-# Rules of a user's
+# Rules of users
 
 
 def is_of_package(rule: Rule[Evidence]) -> bool:
@@ -444,10 +451,10 @@ def is_of_package(rule: Rule[Evidence]) -> bool:
 
 
 def compilable(rule: Rule[Evidence]) -> Rule[Evidence]:
-    """Return a rule of whose parts JAX knows the fields.
+    """Return a rule if JAX knows the fields of its parts.
 
     Raises:
-        ValueError: if JAX does not know them.
+        ValueError: if it does not.
     """
     for part in rule.parts:
         checks.check_fields(part)

@@ -17,7 +17,7 @@ from jaxtyping import Float, Int
 
 from ms_highway.choice.choosers import PriceTogether
 from ms_highway.choice.rule import GameEvidence, Rule
-from ms_highway.choice.situation import describe, nearness
+from ms_highway.choice.situation import describe, distance_rank
 from ms_highway.experiments.batch import Batch
 from ms_highway.loop.batch import simulate
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Episodes, Records
@@ -353,4 +353,4 @@ class RolloutSimulator:
 
 
 _describe = jax.jit(jax.vmap(describe, (None, 0, 0)))
-_rank = jax.jit(jax.vmap(nearness, (None, 0)))
+_rank = jax.jit(jax.vmap(distance_rank, (None, 0)))

@@ -211,7 +211,7 @@ def _step(
     game = believed(loop.game, episode)
     parts = batch_parts(loop, episode, inputs.scheduled)
     robot, result = step(carry.robot, carry.state, parts)
-    control = result.driven.plan.robot[0] * game.planner.control_scale
+    control = result.executed.plan.robot[0] * game.planner.control_scale
     control = _within_grip(game, carry.state[0, 3], control)
 
     # Record the step. What a rule of the user's chose is checked afterwards.
@@ -222,7 +222,7 @@ def _step(
     if not is_of_package(loop.rule):
         chosen = jnp.where(by_rule, decision.memory.rungs, 0)
     records = Records(
-        rungs=result.driven.rungs,
+        rungs=result.executed.rungs,
         planned=result.choice.rungs,
         status=jnp.asarray(result.status),
         gains=gains,
@@ -407,10 +407,10 @@ def _drive_humans(
         # The control of its plan, or of what takes its place.
         plan = plan_alone(view, seen).plan
         new_plan = NewPlan(plan, plan, 0, False, details=None)
-        driven, fallback, _ = follow(
+        executed, fallback, _ = follow(
             new_plan, last.rungs, last, seen, partial(brake, view)
         )
-        control = driven.plan.robot[0] * loop.game.planner.control_scale
+        control = executed.plan.robot[0] * loop.game.planner.control_scale
 
         # The control of a driver, where one drives.
         for number, driver in enumerate(loop.drivers, HUMAN_PLANS + 1):

@@ -1,6 +1,6 @@
 """Brake in lane: what a robot does when it has no plan left to follow.
 
-Everything here works for numbers of NumPy and of JAX.
+Everything here works for arrays of NumPy and of JAX.
 """
 
 from dataclasses import dataclass
@@ -34,8 +34,8 @@ def brake(game: Game, left: RemainingPlan[Plan], now: State) -> RemainingPlan[Pl
     """Return what is left of a plan, with braking in place of the robot's controls.
 
     Args:
-        game: of the robot.
-        left: what is left of the plan, which says what the humans are expected to do.
+        game: game of the robot.
+        left: what is left of the plan, with the controls expected of the humans.
         now: all cars.
     """
     robot = left.plan.robot
@@ -57,15 +57,20 @@ def braking_control(game: Game, car: Float[SameArray, "4"]) -> Float[SameArray, 
     speed = car[3]
 
     # Turn towards the road's direction.
-    turning = -xp.atan2(xp.sin(heading), xp.cos(heading)) / BRAKING.straightening_time
-    curvature = turning / xp.maximum(xp.abs(speed), 1.0)
-    omega = curvature if game.dynamics.steering == "curvature" else turning
+    angle = xp.atan2(xp.sin(heading), xp.cos(heading))
+    yaw_rate = -angle / BRAKING.straightening_time
+    if game.dynamics.steering == "curvature":
+        omega = yaw_rate / xp.maximum(xp.abs(speed), 1.0)
+    else:
+        omega = yaw_rate
 
     # Stop at the end of the step, or as soon as hard braking can.
     hardest = BRAKING.deceleration
-    stop = keep_velocity(game.dynamics, car)[1] - speed / game.dynamics.time_step
+    coasting = keep_velocity(game.dynamics, car)[1]
+    stop = coasting - speed / game.dynamics.time_step
     stop = xp.where(xp.isnan(stop), -xp.sign(speed) * hardest, stop)
     stop = xp.clip(stop, -hardest, hardest)
 
     limit = xp.asarray(game.planner.control_limit)
-    return xp.clip(xp.stack([omega, stop]), -limit, limit)
+    control = xp.stack([omega, stop])
+    return xp.clip(control, -limit, limit)

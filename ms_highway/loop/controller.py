@@ -1,15 +1,15 @@
 """Define controllers, and drivers of humans that do not plan.
 
 Controllers take and return float64 NumPy states and controls in SI units. They drive
-car 0; the next cars are its partners. Two functions of the package drive humans: one
-who never yields, and one who always yields.
+car 0; the next cars are its partners. Humans who do not plan are driven by functions of
+the state, or by objects that remember; the package has two such functions, see
+`ms_highway.loop.yielding`.
 """
 
 import re
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
-from functools import partial
 from inspect import signature
 from time import perf_counter
 from typing import ClassVar, Protocol, TypeAlias, TypeGuard, cast
@@ -18,13 +18,12 @@ import jax
 import numpy as np
 from highway_env.vehicle.kinematics import Vehicle
 from jax import numpy as jnp
-from jaxtyping import Bool, Float
 
 from ms_highway.choice.records import highest_gains
-from ms_highway.game.car_following import CAR_LIMITS
-from ms_highway.game.dynamics import facing, keep_velocity
+from ms_highway.game.dynamics import facing
 from ms_highway.game.game import Game, swap_roles
 from ms_highway.loop.step import Status
+from ms_highway.loop.yielding import always_yields, never_yields
 from ms_highway.planning.ladders import cheapest_first
 from ms_highway.runtime.arrays import (
     Control,
@@ -32,7 +31,6 @@ from ms_highway.runtime.arrays import (
     Gains,
     HumansControls,
     ModelProbabilities,
-    SameArray,
     State,
     naming_writes,
     read_only,
@@ -49,8 +47,8 @@ class ControlStep:
         plan: controls over the horizon; fewer where only part of the last plan is left.
         humans: controls that the plan expects of every human.
         models: for every human, the name of the model that predicted it in this plan.
-        planning_seconds: wall time of the plan and of the check of its way out, without
-            compilation.
+        planning_seconds: wall time of the plan and of the way-out check together,
+            without compilation.
         decision_seconds: wall time of choosing the models, with the belief, without
             compilation; 0 if nothing is chosen or inferred.
         compile_seconds: wall time of compiling and warming up in this step.
@@ -58,14 +56,14 @@ class ControlStep:
         gains: estimated gain of each of them over the first one for every human, before
             the price of its time, see `ms_highway.choice.rule.Estimate`; NaN where none
             was estimated.
-        choice_failed: whether the rule failed to choose, see there.
+        choice_failed: whether gains that were asked for could not be computed.
         status: where the control comes from, see `ms_highway.loop.step.Status`.
         belief: for every human, the probability that each of
             `ms_highway.planning.ladders.PACKAGE_MODELS` predicts it; None where it is
             not inferred.
         planned: for every human, the name of its model in the plan of this step, which
             is not ``plan`` if it is late or failed.
-        plan_steps: number of ascent steps of this plan.
+        plan_steps: number of iterations of the ascent to this plan.
         converged: whether the last of them hardly moved the plan.
     """
 
@@ -102,10 +100,9 @@ class ControlStep:
         """Return the highest estimated gain of each model over all humans, by name."""
         if self.gains is None:
             return {}
-        gains = zip(
-            self.ladder, highest_gains(np.asarray(self.gains)).tolist(), strict=True
-        )
-        return {name: gain for name, gain in gains if np.isfinite(gain)}
+        highest = highest_gains(np.asarray(self.gains)).tolist()
+        by_name = dict(zip(self.ladder, highest, strict=True))
+        return {name: gain for name, gain in by_name.items() if np.isfinite(gain)}
 
 
 class Controller(Protocol):
@@ -356,84 +353,6 @@ class FunctionDriver:
                 f" draws; {self.memory_remedy}"
             )
 
-
-@dataclass(frozen=True)
-class YieldingSettings:
-    """Set how the package's drivers of humans brake, and make room for the robot."""
-
-    room: float = 8.0
-    """Gap that is made for the robot, between bumpers [m]."""
-
-    lanes: float = 1.5
-    """Distance to the side within which a human makes room [lanes]."""
-
-    deceleration: float = 3.0
-    """Deceleration to make room [m/s^2]."""
-
-    max_deceleration: float = CAR_LIMITS.braking
-    """Largest deceleration, also for a car ahead [m/s^2]."""
-
-    min_gap: float = 0.5
-    """Gap to a car ahead below which braking grows no further [m]."""
-
-
-YIELDING = YieldingSettings()
-
-
-def unmoved_control(
-    game: Game,
-    state: Float[SameArray, "cars 4"],
-    yields: bool | Bool[SameArray, ""],
-) -> Float[SameArray, "2"]:
-    """Return the control, not scaled, of car 0, which always yields to car 1, or never.
-
-    Car 1 is the robot. Car 0 keeps its velocity, and brakes in time for a slower car
-    ahead in its lane. If it never yields, it ignores the robot. If it always yields, it
-    brakes for a robot in its lane or the next one as soon as the robot's front has
-    passed its own centre, until there is room for the robot, unless another car is
-    between them.
-    """
-    xp = state.__array_namespace__()  # of NumPy or JAX
-    scene = game.scene
-    own = state[0]
-    others = state[1:]
-    length = xp.asarray(scene.car_size)[0]
-    width = xp.asarray(scene.lane_width)
-
-    # Where the others are to this car, and how fast it closes in on them: [others].
-    along = others[:, 0] - own[0]
-    aside = xp.abs(others[:, 1] - own[1])
-    gaps = xp.maximum(along - length, YIELDING.min_gap)
-    closing = xp.maximum(own[3] - others[:, 3], 0.0)
-
-    # Brake in time for cars ahead, by v^2 / (2 gap).
-    is_robot = xp.arange(len(others)) == 0
-    ahead = (along > 0) & (aside < width / 2) & (yields | ~is_robot)
-    braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
-
-    # Make room for a robot that is beside this car or in front of it.
-    between = xp.any(ahead & (along < along[0]) & ~is_robot)
-    near = (
-        (-length / 2 < along[0])
-        & (along[0] < length + YIELDING.room)
-        & (aside[0] < YIELDING.lanes * width)
-    )
-    braking = xp.where(
-        yields & near & ~between,
-        xp.maximum(braking, YIELDING.deceleration),
-        braking,
-    )
-
-    # Otherwise keep the velocity, and never reverse.
-    coasting = keep_velocity(game.world, own)
-    hardest = xp.minimum(
-        YIELDING.max_deceleration, own[3] / xp.asarray(game.world.time_step)
-    )
-    return xp.stack([coasting[0], coasting[1] - xp.minimum(braking, hardest)])
-
-
-never_yields: DriverFunction = partial(unmoved_control, yields=False)
-always_yields: DriverFunction = partial(unmoved_control, yields=True)
 
 HUMAN_DRIVERS: dict[str, HumanDriver] = {"never": never_yields, "always": always_yields}
 """Human drivers by name. They do not plan."""

@@ -55,10 +55,10 @@ from ms_highway.runtime.process import refuse_after_fork
 GameRule: TypeAlias = Rule[GameEvidence]
 
 
-def drivable(rule: GameRule, belief: bool) -> tuple[GameRule, RungIndex | None]:
+def prepared_rule(rule: GameRule, belief: bool) -> tuple[GameRule, RungIndex | None]:
     """Return the rule for a `Driver`, and the rung that predicts unresponsive humans.
 
-    Without a belief, there is no such rung: None.
+    Without a belief, no human counts as unresponsive, and the rung is None.
 
     Raises:
         ValueError: as `Driver` does.
@@ -78,11 +78,11 @@ class StepSeconds:
     """Seconds that the parts of a step took, without compilation.
 
     Attributes:
-        choosing: of choosing the models, and of inferring which models humans follow; 0
-            if nothing is chosen or inferred.
-        planning: of the plan.
-        checking: of the search for a way out; until this step has searched, the last
-            step's, by which a plan counts as late.
+        choosing: seconds of choosing the models, and of inferring which models humans
+            follow; 0 if nothing is chosen or inferred.
+        planning: seconds of the plan alone.
+        checking: seconds of the way-out check; before this step's check, those of the
+            last one, by which `Driver` forecasts whether a plan is late.
     """
 
     choosing: float = 0.0
@@ -94,25 +94,28 @@ class Driver:
     """Plan every step with the models that a rule chooses.
 
     Where a plan is not finite, the robot follows the rest of the last finite plan, then
-    brakes. With a budget, a late plan is followed from the next step on; in its own
-    step, the robot goes on with the rest of the last one. A rule is told of the plan
-    that was followed in a step, and of the models of that plan.
+    brakes. With a budget, a plan may be late. In its own step, the robot then goes on
+    with the rest of the last plan; the late one becomes the fallback of the next step,
+    unless an escape replaces it. A rule is told of the plan that was followed in a
+    step, and of the models of that plan.
 
     A step is `ms_highway.loop.step.step`; its parts are compiled and timed here.
 
     Args:
-        game: of which car 0 is driven, with the humans' rewards as the robot believes
+        game: game whose car 0 is driven, with the humans' rewards as the robot believes
             them.
         rule: chooses the models.
-        budget: time of a cycle, decision and plan [s]; None for no limit.
-        way_out: whether a control that leaves no way out is replaced, see
-            `ms_highway.planning.way_out`.
+        budget: time of a cycle [s]: the decision, the plan and the way-out check; None
+            for no limit.
+        way_out: whether an escape that is better than every way out after the control
+            replaces it, see `ms_highway.planning.way_out`.
         belief: whether to infer which model predicts every human. Humans who show that
             they do not respond are then predicted by the first rung, or by naive under
-            an order, instead of by a model that responds.
+            an `ms_highway.choice.rule.Order`, instead of by a model that responds.
 
     Attributes:
-        decision_quantile: quantile of the seconds of decisions that budgets count with.
+        decision_quantile: quantile of the measured seconds of decisions that budgets
+            count.
 
     Raises:
         ValueError: for impossible costs, prices or ladders, or if with a belief the
@@ -134,7 +137,7 @@ class Driver:
         self.way_out = way_out
         self.infers_models = belief
         self._game = game
-        self._rule, self._unresponsive = drivable(rule, belief)
+        self._rule, self._unresponsive = prepared_rule(rule, belief)
         self._prepare()
         self.reset()
 
@@ -149,7 +152,7 @@ class Driver:
     @rule.setter
     def rule(self, rule: GameRule) -> None:
         last = self._rule
-        rule, unresponsive = drivable(rule, self.infers_models)
+        rule, unresponsive = prepared_rule(rule, self.infers_models)
         if rule.ladder != last.ladder:
             new = " ".join(rule.names.models)
             old = " ".join(last.names.models)
@@ -177,13 +180,13 @@ class Driver:
         self._prepare()
 
     def _prepare(self) -> None:
-        """Prepare what plans, for a new game."""
+        """Prepare the compiled plans of a new game."""
         self._plans = CompiledPlans(self.game, self.rule.ladder)
         self._place()
         self._warm = False
 
     def _place(self) -> None:
-        """Hold the numbers that choices take, and whether choices compute."""
+        """Put rule and game on the device, and note whether decisions are compiled."""
         self._arguments = ReusedArguments((self.rule, single(self.game)))
         self._choice_computes = self._rule.computes or self.infers_models
 
@@ -224,30 +227,35 @@ class Driver:
 
     def _record(self, result: GameResult, compiling: float) -> ControlStep:
         """Return the record of a step in SI units, given the seconds of compilation."""
-        driven = result.driven
+        executed = result.executed
         choice = result.choice
         names = self._rule.names.models
         scale = np.asarray(self._game.planner.control_scale, dtype=float)
-        left = int(driven.steps) or None  # all, where the robot brakes
-        plan = driven.plan.robot * scale
-        humans = driven.plan.humans * scale
+        plan = executed.plan.robot * scale
+        humans = executed.plan.humans * scale
+
+        # Where the robot brakes, no control of a plan is left: show all of the braking.
+        left = int(executed.controls_left) or None
+
+        # Gains that were not estimated are NaN in records.
 
         gains = choice.decision.gains
+        gains = np.where(gains == NOT_ESTIMATED, np.nan, gains)
         return ControlStep(
             control=plan[0],
             plan=plan[:left],
             humans=humans[:, :left],
-            models=tuple(names[rung] for rung in driven.rungs),
+            models=tuple(names[rung] for rung in executed.rungs),
             planning_seconds=self._seconds.planning + self._seconds.checking,
             decision_seconds=self._seconds.choosing,
             compile_seconds=compiling,
             ladder=names,
-            gains=np.where(gains == NOT_ESTIMATED, np.nan, gains),
+            gains=gains,
             choice_failed=bool(choice.decision.failed),
             status=STATUSES[result.status],
             belief=choice.model_probabilities if self.infers_models else None,
             planned=tuple(names[rung] for rung in choice.rungs),
-            plan_steps=int(result.new_plan.steps),
+            plan_steps=int(result.new_plan.iterations),
             converged=bool(result.new_plan.converged),
         )
 
@@ -282,12 +290,13 @@ class Driver:
         return NewPlan(plan, plan, solution.steps, solution.converged, details=None)
 
     def _is_late(self) -> bool:
-        """Return whether the budget will be spent after a search for a way out.
+        """Return whether the step, way-out check included, will exceed the budget.
 
-        The search is expected to take as long as the last one.
+        The check is expected to take as long as the last one.
         """
         assert self.budget is not None
-        return perf_counter() - self._started + self._seconds.checking > self.budget
+        elapsed = perf_counter() - self._started
+        return elapsed + self._seconds.checking > self.budget
 
     def _escape(self, now: State, control: Control) -> Escape:
         """Search for a way out; see `ms_highway.loop.step.Parts`."""
@@ -327,8 +336,10 @@ class Driver:
         carry = begin(self.rule, self.game, state)
         after_first = np.ones((), np.int32)  # the first step may take less
         carry = carry._replace(memory=carry.memory._replace(step=after_first))
-        repeats = range(CompiledPlans.repeats)
-        times = [timed(*self._choice_call(carry, state))[1] for _ in repeats]
+        times = []
+        for _ in range(CompiledPlans.repeats):
+            _, seconds = timed(*self._choice_call(carry, state))
+            times.append(seconds)
         return float(np.quantile(times, self.decision_quantile))
 
     def _choice_call(self, carry: GameCarry, now: State) -> tuple:
@@ -361,7 +372,8 @@ def fixed(game: Game, model: HumanModel | None = None) -> Driver:
     Humans in environments drive in this way.
 
     Args:
-        game: of which car 0 is driven; for a human, `ms_highway.game.game.swap_roles`.
-        model: of all humans.
+        game: game whose car 0 is driven; for a human, see
+            `ms_highway.game.game.swap_roles`.
+        model: model of all humans.
     """
     return Driver(game, always(model or Naive()))

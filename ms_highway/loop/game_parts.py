@@ -1,6 +1,6 @@
 """Choose models and start plans in a game: what live drivers and batches share.
 
-Everything here works for numbers of NumPy and of JAX.
+Everything here works for arrays of NumPy and of JAX.
 """
 
 from collections.abc import Callable
@@ -31,14 +31,14 @@ def choose(
 
     Args:
         game: as the robot believes it.
-        models: which rungs name.
-        unresponsive: rung that predicts humans who do not respond; None to count on
+        models: models that rungs name.
+        unresponsive: rung that predicts humans who do not respond; None to rely on
             everybody, without inferring who responds.
         decide: chooses rungs by the outcome, see `ms_highway.choice.rule.decide`.
-        carry: into the step.
+        carry: what the robot carries into the step; its outcome is completed here.
         now: all cars.
     """
-    # Observe the humans' controls, and what the step has earned.
+    # Complete the outcome of the last step: the humans' controls, and the reward.
     before = carry.outcome.before
     humans = slice(1, 1 + game.number)
     controls = recover_control(game.world, before[humans], now[humans])
@@ -48,27 +48,26 @@ def choose(
         reward=reward(game.scene, game.robot, now),
     )
 
-    # Without knowing who responds, count on what the rule chose.
+    # Without a belief, take what the rule chooses.
     if unresponsive is None:
         decision = decide(carry.memory, outcome)
         rungs = decision.memory.rungs
         return Choice(carry.model_probabilities, decision, rungs, observation=None)
 
-    # Infer which model each human follows. Before the first step, nobody has moved.
-    assert carry.model_probabilities is not None
+    # Infer which model each human follows. Where no car has moved, as before the first
+    # step, nothing can be inferred.
+    last_probabilities = carry.model_probabilities
+    assert last_probabilities is not None
     moved = jnp.any(before != now)
-    inferred = infer_models(
-        game, carry.model_probabilities, before, now, outcome.plan.robot
-    )
-    probabilities = jnp.where(moved, inferred, carry.model_probabilities)
+    inferred = infer_models(game, last_probabilities, before, now, outcome.plan.robot)
+    probabilities = jnp.where(moved, inferred, last_probabilities)
 
-    # Where a model counts on a human who does not respond, take another one.
+    # Replace the models that rely on the response of a human who hardly responds.
     decision = decide(carry.memory, outcome)
-    counts_on_response = jnp.array([model.responds for model in models])
-    in_vain = counts_on_response[decision.memory.rungs] & ~likely_to_respond(
-        probabilities
-    )
-    rungs = jnp.where(in_vain, unresponsive, decision.memory.rungs).astype(jnp.int32)
+    chosen = decision.memory.rungs
+    relies_on_response = jnp.array([model.responds for model in models])[chosen]
+    is_misplaced = relies_on_response & ~likely_to_respond(probabilities)
+    rungs = jnp.where(is_misplaced, unresponsive, chosen).astype(jnp.int32)
     return Choice(probabilities, decision, rungs, observation=None)
 
 
@@ -79,27 +78,29 @@ def plan_start(
     rungs: Rungs,
     last: RemainingPlan[Plan],
 ) -> Plan | None:
-    """Return the scaled plan from which the coming one starts.
+    """Return the scaled initial guess of the coming plan; None if all start cold.
 
-    Humans continue the last plan if the planner or their model wants that; the robot
-    does if any human does. All others start cold. It is None if no model ever
-    continues.
+    A human starts warm, from the rest of the last plan, if the planner or the human's
+    model wants that and any control of the last plan is left. The robot starts warm if
+    any human does. All others start cold.
 
     Args:
-        models: that rungs name.
-        game: of the robot.
+        models: models that rungs name.
+        game: game of the robot.
         state: all cars now.
-        rungs: of every human in the coming plan.
-        last: the plan to fall back on.
+        rungs: rung of each human's model in the coming plan.
+        last: plan whose warm start is continued.
     """
-    warm = np.array([game.planner.solver.continues or model.warm for model in models])
+    solver = game.planner.solver
+    warm = np.array([solver.continues or model.warm for model in models])
     if not warm.any():
         return None
     cold = cold_start(game, state)
     rest = last.warm_start.later()
 
     xp = rungs.__array_namespace__()  # of NumPy or JAX
-    continues = xp.asarray(warm)[rungs] & (last.steps > 0)  # [humans]
+    wants_warm = xp.asarray(warm)[rungs]
+    continues = wants_warm & (last.controls_left > 0)  # [humans]
     robot = xp.where(continues.any(), rest.robot, cold.robot)
     humans = xp.where(continues[:, None, None], rest.humans, cold.humans)
     return Plan(robot, humans)

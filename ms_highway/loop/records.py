@@ -1,6 +1,7 @@
-"""Hold what a simulation of many episodes takes and returns.
+"""Hold the inputs and results of a simulation of many episodes.
 
-That is what its episodes share, the episodes, and the records of their steps.
+The inputs are what its episodes share, `Loop`, and what differs between them,
+`Episodes`; the results are the `Records` of all steps.
 """
 
 from dataclasses import dataclass, field, replace
@@ -22,8 +23,8 @@ entries, from 0, are rungs of `Loop.models`.
 """
 
 HUMAN_PLANS = 0
-"""Number of a human's driver if the human plans for its reward; ``HUMAN_PLANS + 1 +
-place`` is the number of the driver at this place in `Loop.drivers`.
+"""Entry of ``Episodes.drivers`` for a human who plans for its reward. ``HUMAN_PLANS + 1
++ index`` stands for the driver at this index in `Loop.drivers`.
 """
 
 
@@ -33,15 +34,16 @@ class Loop:
     """What all episodes of a simulation share.
 
     Attributes:
-        game: that is played, with the humans' rewards as the robot believes them.
+        game: game that is played, with the humans' rewards as the robot believes them.
         rule: chooses rungs of its ladder; every episode has its own price.
         others: models that schedules may use beside the ladder; their rungs follow
             those of the ladder (static).
-        way_out: whether a control that leaves no way out is replaced, see
-            `ms_highway.planning.way_out` (static).
+        way_out: whether an escape that is better than every way out after a control
+            replaces it, see `ms_highway.planning.way_out` (static).
         belief: whether the robot infers which model predicts every human, see
             `ms_highway.loop.driver` (static).
-        drivers: of humans who do not plan, see `ms_highway.add_driver` (static).
+        drivers: what drives humans who do not plan, see `ms_highway.add_driver`
+            (static).
         chunk: number of episodes computed together with one human (static); with
             several humans, episodes are computed one by one. A chunk computes only the
             human models that it uses: smaller chunks waste less computation, larger
@@ -96,13 +98,13 @@ class Episodes:
 
     Attributes:
         starts: all cars at the start: robot, humans, scripted cars.
-        prices: lambda, where the rule decides.
+        prices: lambda, at which the rule decides.
         schedules: rung of the model that predicts each human in each step, or
             `DECIDES`.
-        robot_weights: of the robot's reward, in the order of its features.
-        human_weights: of the rewards that the humans drive for; with one human, the
-            robot knows them.
-        drivers: number of each human's driver, see `HUMAN_PLANS`.
+        robot_weights: weights of the robot's reward, in the order of its features.
+        human_weights: weights of the rewards that the humans drive for; with one human,
+            the robot knows them.
+        drivers: what drives each human, see `HUMAN_PLANS`.
     """
 
     starts: Float[Array, "episodes cars 4"]
@@ -126,16 +128,15 @@ class Records(NamedTuple):
             plan that was followed.
         planned: the same in the step's own plan, whose T is counted; it is not followed
             where it is not finite.
-        status: number of the status of the robot's control, see
+        status: index of the status of the robot's control in
             `ms_highway.loop.step.STATUSES`.
-        reward: the robot's, after the step.
-        collision: whether the robot collides in it.
+        reward: the robot's reward after the step.
+        collision: whether the robot collides in the step.
         gains: of each rung for each human, estimated before the step, see
             `ms_highway.choice.rule.Estimate`.
         states: all cars after the step.
-        chosen: what a rule that is not the package's chose, 0 where a schedule did; to
-            be checked by `ms_highway.choice.rule.refuse_rungs`. None for the package's
-            rules.
+        chosen: rungs that a user's rule chose, 0 where a schedule did; to be checked by
+            `ms_highway.choice.rule.refuse_rungs`. None for the package's rules.
     """
 
     rungs: Int[Array, "episodes steps humans"]

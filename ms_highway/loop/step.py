@@ -1,23 +1,25 @@
-"""One step of a robot among humans: live, in a batch, or on a stock road.
+"""One step of a robot among humans: live, in a batch, or on a road of highway-env.
 
 In a `step`, the robot
 
 1. observes what the last step has shown, and chooses a model of each human;
 2. plans with these models;
 3. follows this plan or, if it fails or is late, the rest of the last one; where nothing
-   is left of that, it brakes;
-4. escapes, if the control would leave it no way out;
+   is left of that, it brakes. A plan fails if it is not finite, for example where the
+   response of a human is singular;
+4. escapes, if an escape is better than every way out after the control;
 5. remembers what the next step needs, a `Carry`.
 
 How it chooses, plans, brakes and escapes is given by `Parts`. Live, these are compiled
 and timed (`ms_highway.loop.driver`); in a batch, JAX traces them
-(`ms_highway.loop.batch`); on a stock road, the robot plans among proposals
-(`ms_highway.road.driver`).
+(`ms_highway.loop.batch`); on highway-env's own roads, the stock roads, the robot plans
+among proposals (`ms_highway.road.driver`).
 
-Everything here works for numbers of NumPy and of JAX, see `branch`.
+Everything here works for arrays of NumPy and of JAX, see `branch`.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import (
     Generic,
     Literal,
@@ -62,16 +64,18 @@ Status: TypeAlias = Literal["planned", "previous plan", "braking", "late", "way 
 * ``previous plan``: the rest of the last finite plan, as this one is not finite;
 * ``braking``: in lane, as nothing is left of that plan either;
 * ``late``: the rest of the last plan or braking, as this plan is late;
-* ``way out``: an escape from cars that keep their velocity, as the planned control
-  leaves none. The rest of an escape is then the rest of the last plan.
+* ``way out``: an escape instead of a planned control, as it is better than every way
+  out after this control, see `ms_highway.planning.way_out`.
+
+An escape may also replace a control of another source, whose status then stays.
 """
 
 STATUSES: tuple[Status, ...] = get_args(Status)
-"""All statuses, in the order of their numbers."""
+"""All statuses; records hold their indices."""
 
 
 def status_number(status: Status) -> int:
-    """Return the number of a status, its place in `STATUSES`."""
+    """Return the index of a status in `STATUSES`."""
     return STATUSES.index(status)
 
 
@@ -79,43 +83,43 @@ def status_number(status: Status) -> int:
 
 
 class Continuable(Protocol):
-    """A plan from which another one may start a step later."""
+    """A warm start: the plan from which the search for the next plan may begin."""
 
     def later(self) -> Self:
-        """Return the plan from the next step on."""
+        """Return the plan from the next step on, without its first control."""
 
 
 WarmStart = TypeVar("WarmStart", bound=Continuable)
-"""Where the next plan may start: a `Plan` in games, a proposal on stock roads."""
+"""Initial guess of the next plan: a `Plan` in games, a proposal on stock roads."""
 
 Observation = TypeVar("Observation")
-"""What a robot on a stock road looked at when it chose models; None in games."""
+"""What the choice of models on a stock road was based on; None in games."""
 
 Details = TypeVar("Details")
-"""What else the record of a step on a stock road needs of its plan; None in games."""
+"""What the record of a step on a stock road holds of its plan; None in games."""
 
 
 class RemainingPlan(NamedTuple, Generic[WarmStart]):
     """What is left of a plan from some step on.
 
     Attributes:
-        plan: scaled; beyond its end, its last controls are repeated.
-        steps: number of its controls that are left, this step's included; with 0, the
-            robot brakes.
-        rungs: of every human in this plan.
-        warm_start: where the next plan may start: this plan or, if it is an escape, the
-            one that it replaced.
+        plan: scaled controls; beyond its end, the last ones are repeated.
+        controls_left: number of its controls that are left, this step's included; with
+            0, the robot brakes.
+        rungs: rung of each human's model in this plan.
+        warm_start: initial guess of the next plan: this plan or, if it is an escape,
+            the one that it replaced.
     """
 
     plan: Plan
-    steps: Index
+    controls_left: Index
     rungs: Rungs
     warm_start: WarmStart
 
     def later(self) -> "RemainingPlan[WarmStart]":
         """Return what is left from the next step on."""
         return RemainingPlan(
-            steps=self.steps - (self.steps > 0),
+            controls_left=self.controls_left - (self.controls_left > 0),
             plan=self.plan.later(),
             rungs=self.rungs,
             warm_start=self.warm_start.later(),
@@ -126,13 +130,15 @@ class Carry(NamedTuple, Generic[Cars, WarmStart]):
     """What a robot carries from step to step.
 
     Attributes:
-        memory: of its rule.
-        outcome: of the last step; before the first one, of a step in which no car
-            moved.
+        memory: what its rule remembers.
+        outcome: this step, as far as it is known when the control is chosen: its cars
+            before, its control and its plan. In games, the next step's `Parts.choose`
+            fills in the rest, the cars after it, the humans' controls and the reward,
+            in a copy of its own. Before the first step, no car has moved.
         model_probabilities: probability that each of the package's models predicts each
             human, see `ms_highway.choice.belief`; None on stock roads.
-        fallback: plan to fall back on in the next step, from this step on: its first
-            control will be over by then.
+        fallback: plan for the next step if its own fails or is late. It is not shifted
+            yet: its first control belongs to the step just done.
     """
 
     memory: Memory
@@ -147,9 +153,9 @@ class Choice(NamedTuple, Generic[Observation]):
     Attributes:
         model_probabilities: see `Carry`, after the last step.
         decision: what the rule or a schedule chose.
-        rungs: of every human in the coming plan; other than chosen for humans who do
-            not respond.
-        observation: what was looked at, if the plan needs it.
+        rungs: rung of each human's model in the coming plan: the chosen one, except for
+            humans who do not respond.
+        observation: what the choice was based on, for the planner of a stock road.
     """
 
     model_probabilities: ModelProbabilities | None
@@ -162,41 +168,39 @@ class NewPlan(NamedTuple, Generic[WarmStart, Details]):
     """The plan of this step, and how its ascent ended.
 
     Attributes:
-        plan: scaled; it fails if it is not finite.
-        warm_start: where the next plan may start, if this one is followed.
-        steps: number of steps of the ascent; 0 if there was none.
+        plan: scaled controls; it fails if they are not finite.
+        warm_start: initial guess of the next plan, if this one is followed.
+        iterations: number of iterations of the ascent; 0 if there was none.
         converged: whether the last of them hardly moved the plan.
-        details: what else belongs into the record of the step.
+        details: what else the record of the step holds.
     """
 
     plan: Plan
     warm_start: WarmStart
-    steps: Index
+    iterations: Index
     converged: Flag
     details: Details
 
 
 class StepResult(NamedTuple, Generic[WarmStart, Observation, Details]):
-    """What drives in a step, and where it comes from.
+    """The plan that is executed in a step, and where it comes from.
 
     Attributes:
-        driven: the plan that drives; its first control is executed. If the robot
-            brakes, the rungs are those of the step's own plan.
-        status: number of its status, see `STATUSES`.
-        choice: the models of the step's own plan.
-        new_plan: the step's own plan, whether it drives or not.
+        executed: plan whose first control is executed. If the robot brakes, the rungs
+            are those of the step's own plan.
+        status: index of its status in `STATUSES`.
+        choice: models of the step's own plan.
+        new_plan: the step's own plan, whether it is executed or not.
     """
 
-    driven: RemainingPlan[WarmStart]
+    executed: RemainingPlan[WarmStart]
     status: Index
     choice: Choice[Observation]
     new_plan: NewPlan[WarmStart, Details]
 
 
 Brake: TypeAlias = Callable[[RemainingPlan[WarmStart], Cars], RemainingPlan[WarmStart]]
-"""Put braking in place of the robot's controls in what is left of a plan, given the
-cars now.
-"""
+"""Put braking in place of the robot's controls in what is left of a plan."""
 
 
 class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
@@ -205,13 +209,13 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
     Attributes:
         choose: looks at the last step, and chooses the models from what the robot
             carries and the cars now.
-        plan: plans among the cars now, with a choice, perhaps starting from the plan to
-            fall back on.
+        plan: plans among the cars now, with a choice, perhaps from the fallback's warm
+            start.
         brake: brakes, where nothing is left of the last plan.
-        is_late: whether the plan, which was just made, is too late for this step; None
-            if no plan ever is.
-        escape: says what to execute instead of a control, given the cars now, if that
-            leaves the robot no way out; None without such a search.
+        is_late: whether the plan, which was just made, is too late for this step; it
+            reads the clock. None if no plan ever is late.
+        escape: searches for an escape that is better than every way out after a
+            control, given the cars now; None without such a search.
     """
 
     choose: Callable[[Carry[Cars, WarmStart], Cars], Choice[Observation]]
@@ -242,9 +246,10 @@ def step(
 ) -> tuple[Carry[Cars, WarmStart], StepResult[WarmStart, Observation, Details]]:
     """Drive one step: choose a model of each human, plan, and execute a control.
 
-    It is a step of the paper's meta-MDP, whose action is the choice of the models (Sec.
-    III). The plan's first control is executed. A robot that cannot follow its plan
-    falls back on the last one, then brakes; one that would have no way out escapes.
+    It is a step of the paper's meta-MDP, whose action is the choice of the models
+    (Sripathy et al. 2021, Sec. III). The plan's first control is executed. A robot that
+    cannot follow its plan falls back on the last one, then brakes. It escapes if that
+    is better than every way out after the control.
 
     Args:
         carry: what the robot carries into the step.
@@ -263,30 +268,30 @@ def step(
 
     # Follow the plan. If it is not finite or late, follow the last one; where that has
     # ended, brake.
-    driven, fallback, status = follow(
+    executed, fallback, status = follow(
         new_plan, choice.rungs, carry.fallback, now, parts.brake, late
     )
 
-    # If the control leaves no way out among cars that keep their velocity, escape.
+    # If an escape is better than every way out after the control, escape.
     if parts.escape is not None:
-        escape = parts.escape(now, driven.plan.robot[0])
-        driven, fallback, status = follow_escape(driven, fallback, status, escape)
+        escape = parts.escape(now, executed.plan.robot[0])
+        executed, fallback, status = follow_escape(executed, fallback, status, escape)
 
-    # Remember the rungs that drive. The gain of a chosen rung says nothing of another
-    # one that drives instead.
+    # Remember the rungs of the executed plan. The gain of a chosen rung says nothing of
+    # another one that is used instead.
     chosen = choice.decision.memory
-    gain = chosen.gain * (driven.rungs == chosen.rungs)
-    memory = Memory(driven.rungs, carry.memory.step + 1, chosen.last_check, gain)
+    gain = chosen.gain * (executed.rungs == chosen.rungs)
+    memory = Memory(executed.rungs, carry.memory.step + 1, chosen.last_check, gain)
 
-    # Remember what was done. What comes of it shows in the next step, which completes
-    # the outcome.
-    control = driven.plan.robot[0]
+    # Remember what was done. Its consequences show in the next step, whose choice
+    # completes the outcome.
+    control = executed.plan.robot[0]
     outcome = carry.outcome._replace(
-        before=now, after=now, robot=control, plan=driven.plan
+        before=now, after=now, robot=control, plan=executed.plan
     )
 
     next_carry = Carry(memory, outcome, choice.model_probabilities, fallback)
-    return next_carry, StepResult(driven, status, choice, new_plan)
+    return next_carry, StepResult(executed, status, choice, new_plan)
 
 
 Result = TypeVar("Result")
@@ -299,10 +304,12 @@ def branch(
 ) -> Result:
     """Return one of two results; for a flag of JAX, select each of their numbers.
 
-    JAX computes both results, everything else only the one that is returned.
+    With a flag of JAX, both results are computed; with any other flag, only the one
+    that is returned.
     """
     if isinstance(flag, jax.Array):
-        return jax.tree.map(lambda *both: jnp.where(flag, *both), then(), otherwise())
+        select = partial(jnp.where, flag)
+        return jax.tree.map(select, then(), otherwise())
     return then() if flag else otherwise()
 
 
@@ -345,39 +352,46 @@ def follow(
 ) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
     """Follow a plan or, if it is late or not finite, the last one, or brake.
 
+    ==========  ================  =================  ======================
+    plan        executed          next fallback      status
+    ==========  ================  =================  ======================
+    in time     it                it                 planned
+    late        last or braking   it                 late
+    not finite  last or braking   last or braking    previous plan, braking
+    ==========  ================  =================  ======================
+
     Args:
-        new_plan: of this step.
-        rungs: of every human in it.
+        new_plan: plan of this step.
+        rungs: rung of each human's model in it.
         last: plan to fall back on in this step.
         now: all cars.
         brake: see `Parts`; it brakes where nothing is left of the last plan.
-        late: whether the plan is too late for this step; a finite one is followed from
-            the next step on.
+        late: whether the plan is too late for this step.
 
     Returns:
-        What drives, the plan to fall back on in the next step, and the number of the
-        status.
+        The executed plan, the plan to fall back on in the next step unless an escape
+        replaces it, and the index of the status.
     """
     plan = new_plan.plan
     xp = plan.robot.__array_namespace__()  # of NumPy or JAX
     finite = xp.isfinite(plan.robot).all() & xp.isfinite(plan.humans).all()
 
-    def new() -> tuple[RemainingPlan[WarmStart], Index]:
+    def follow_new() -> tuple[RemainingPlan[WarmStart], Index]:
         whole = RemainingPlan(plan, len(plan.robot), rungs, new_plan.warm_start)
         return whole, status_number("planned")
 
-    def old() -> tuple[RemainingPlan[WarmStart], Index]:
+    def follow_last() -> tuple[RemainingPlan[WarmStart], Index]:
         return fall_back(last, rungs, now, brake)
 
-    # A plan in time drives now, and is what the next step falls back on.
-    fallback, status = branch(finite, new, old)
+    # A plan in time is executed now, and is what the next step falls back on.
+    fallback, status = branch(finite, follow_new, follow_last)
     if not late:
         return fallback, fallback, status
 
-    # A late one has to wait for the next step.
-    driven, failed = old()
+    # A late one is only what the next step falls back on.
+    executed, failed = follow_last()
     status = branch(finite, lambda: status_number("late"), lambda: failed)
-    return driven, fallback, status
+    return executed, fallback, status
 
 
 def fall_back(
@@ -388,43 +402,45 @@ def fall_back(
 ) -> tuple[RemainingPlan[WarmStart], Index]:
     """Go on with the last plan, or brake where nothing is left of it.
 
-    Braking counts under the models of the step's own plan, whose rungs are given.
+    When the robot brakes, records show the models of the step's own plan, ``rungs``.
 
     Returns:
-        What drives, and the number of its status, see `follow`.
+        The executed plan, and the index of its status, see `follow`.
     """
-    left = last.later()
-    stopping = left._replace(rungs=rungs)
+    rest = last.later()
+    stopping = rest._replace(rungs=rungs)
     return branch(
-        left.steps > 0,
-        lambda: (left, status_number("previous plan")),
+        rest.controls_left > 0,
+        lambda: (rest, status_number("previous plan")),
         lambda: (brake(stopping, now), status_number("braking")),
     )
 
 
 def follow_escape(
-    driven: RemainingPlan[WarmStart],
+    planned: RemainingPlan[WarmStart],
     fallback: RemainingPlan[WarmStart],
     status: Index,
     escape: Escape,
 ) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
     """Follow an escape, and fall back on it, if it replaces the control.
 
-    Late and failed plans keep their status. The rungs remain those of the plan,
-    although an escape counts on nobody.
+    A late plan is then given up, except as a warm start. Late and failed plans keep
+    their status, so that only escapes from plans in time have one of their own. The
+    rungs remain those of the plan, although an escape relies on nobody.
 
     Returns:
         The same as `follow`.
     """
-    plan = driven.plan._replace(robot=escape.controls)
-    steps = len(escape.controls)
-    escaping = RemainingPlan(plan, steps, driven.rungs, fallback.warm_start)
+    plan = planned.plan._replace(robot=escape.controls)
+    controls_left = len(escape.controls)
+    warm_start = fallback.warm_start
+    escaping = RemainingPlan(plan, controls_left, planned.rungs, warm_start)
 
     # Only a planned control gets the status of an escape.
     renamed = escape.replaces & (status == status_number("planned"))
     status = branch(renamed, lambda: status_number("way out"), lambda: status)
 
-    driven, fallback = branch(
-        escape.replaces, lambda: (escaping, escaping), lambda: (driven, fallback)
+    executed, fallback = branch(
+        escape.replaces, lambda: (escaping, escaping), lambda: (planned, fallback)
     )
-    return driven, fallback, status
+    return executed, fallback, status

@@ -202,7 +202,7 @@ class RoadDriver:
         """
         plan = result.new_plan.details
         look = result.choice.observation
-        controls = result.driven.plan.robot
+        controls = result.executed.plan.robot
         is_finite = STATUSES[result.status] in ("planned", "late")
         path = plan.path[: len(controls) if is_finite else 0]
 
@@ -242,7 +242,7 @@ class RoadDriver:
         also be one of these.
         """
         if STATUSES[result.status] != "planned":
-            return "last plan" if result.driven.steps > 0 else "braking"
+            return "last plan" if result.executed.controls_left > 0 else "braking"
         hardest = -self.braking_share * self.planning.grip
         if plan.broken and plan.controls[0, 1] < hardest:
             return "braking"

@@ -156,10 +156,13 @@ def test_one_rung_predicts_the_nearest_humans_worth_most_together(game):
     """
     # The hidden layer passes on the share of humans who are nearer, small enough that
     # tanh is linear.
-    nearer = np.zeros((1, len(SHIPPED.centre), 1), np.float32)
+    nearer = np.zeros((1, len(SHIPPED.input_mean), 1), np.float32)
     nearer[0, -1] = 0.01
     hidden = nearer, np.zeros((1, 1), np.float32)
-    as_they_are = {"centre": 0 * SHIPPED.centre, "spread": 1 + 0 * SHIPPED.centre}
+    as_they_are = {
+        "input_mean": 0 * SHIPPED.input_mean,
+        "input_std": 1 + 0 * SHIPPED.input_mean,
+    }
 
     shipped = SHIPPED.rule(LADDER, COSTS, 0.0)
     for gain, rungs in ((0.4, TURN * NEAREST_FOUR), (0.2, [TOM, *[NAIVE] * 4])):

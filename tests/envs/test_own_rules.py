@@ -254,7 +254,7 @@ def test_nobody_can_change_what_the_package_computes_with(monkeypatch):
         env.game.robot.weights,
         env.game.scene.lanes,
         env.weights,
-        load_values("shipped").centre,
+        load_values("shipped").input_mean,
     ):
         with pytest.raises(ValueError, match="read-only"):
             array[:] = 0.0

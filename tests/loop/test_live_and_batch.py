@@ -43,11 +43,12 @@ from ms_highway.envs.registry import CONTROLLERS, controller_settings
 from ms_highway.game.dynamics import keep_velocity
 from ms_highway.game.game import swap_roles
 from ms_highway.loop.batch import batch_parts
-from ms_highway.loop.controller import FunctionDriver, always_yields, never_yields
-from ms_highway.loop.driver import Driver, drivable
+from ms_highway.loop.controller import FunctionDriver
+from ms_highway.loop.driver import Driver, prepared_rule
 from ms_highway.loop.records import DECIDES, HUMAN_PLANS, Loop
 from ms_highway.loop.step import STATUSES, begin
 from ms_highway.loop.step import step as one_step
+from ms_highway.loop.yielding import always_yields, never_yields
 from ms_highway.planning.costs import UNKNOWN, Costs
 from ms_highway.planning.human_models import PredictedHuman
 from ms_highway.planning.ladders import ladder
@@ -140,9 +141,9 @@ def test_the_same_model_predicts_unresponsive_humans_live_and_in_batches(
     game, _ = played("merger")
     models = ladder(["idm", "turn", "tom"])
     rule = Rule(models, UNKNOWN.select(model.name for model in models), chooser)
-    _, live = drivable(rule, belief=True)
+    _, live = prepared_rule(rule, belief=True)
     assert Loop(game, rule, belief=True).unresponsive == live == 0
-    order, live = drivable(in_order(np.array([[1]]), models), belief=True)
+    order, live = prepared_rule(in_order(np.array([[1]]), models), belief=True)
     assert Loop(game, order, belief=True).unresponsive == live == 3
     with pytest.raises(
         ValueError,
@@ -425,10 +426,10 @@ def test_a_late_plan_is_followed_a_step_later(scene):
         driver.budget = 0.0 if is_late else None
         live = driver.step(state)
         carry, result = in_jax(carry, np.float32(state), is_late)
-        steps = int(result.driven.steps) or None
+        steps = int(result.executed.controls_left) or None
         assert STATUSES[result.status] == live.status
-        assert tuple(models[rung].name for rung in result.driven.rungs) == live.models
-        controls = result.driven.plan.robot[:steps] * game.planner.control_scale
+        assert tuple(models[rung].name for rung in result.executed.rungs) == live.models
+        controls = result.executed.plan.robot[:steps] * game.planner.control_scale
         np.testing.assert_allclose(controls, live.plan, atol=1e-4)
         statuses.append(live.status)
         keeps = np.asarray(keep_velocity(game.world, state[1 : 1 + game.number]))
