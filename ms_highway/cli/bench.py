@@ -35,6 +35,7 @@ from ms_highway.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from ms_highway.benchmarks.road.episodes import Block
     from ms_highway.benchmarks.road.peers import RecordedStart
 
 JSON = output("--json", "write all figures to a JSON file")
@@ -220,21 +221,10 @@ def bench_road(options: argparse.Namespace) -> None:
       ms-highway bench road recorded --data us101 --traffic replay \
         --drivers priced idm --export drives
     """
-    import pandas as pd
-
-    from ms_highway.benchmarks.road.episodes import (
-        Block,
-        check_driver,
-        make_driver,
-        row,
-        run_blocks,
-        summary,
-    )
+    from ms_highway.benchmarks.road.episodes import Block, check_driver, make_driver
     from ms_highway.benchmarks.road.peers import RecordedStart, starts_of
     from ms_highway.envs.agents import is_agent
-    from ms_highway.experiments.directory import write_table
     from ms_highway.road.driver import MEASURED_COSTS
-    from ms_highway.runtime.files import write_json
     from ms_highway.visualization.tables import driver_table
 
     scenes = known_scenes(options.scenes or SCENES)
@@ -257,25 +247,7 @@ def bench_road(options: argparse.Namespace) -> None:
         if is_agent(block.driver):
             make_driver(block).close()
 
-    rows: list[dict] = []
-    results: dict[str, dict] = {scene: {} for scene in scenes}
-
-    def progress() -> str:
-        """Say how many episodes are done."""
-        return f"episodes: {len(rows)} of {len(blocks) * len(seeds)}"
-
-    with telling_often(progress):
-        for block, episodes in run_blocks(
-            blocks, seeds, options.films, options.modules
-        ):
-            tell(f"drove {block.scene}, {block.driver}")
-            results[block.scene][block.driver] = summary(block, episodes)
-            rows.extend(row(block, episode) for episode in episodes)
-            # Write after every block, so that a later failure loses nothing.
-            if options.json:
-                write_json(options.json, results)
-            if options.log:
-                write_table(pd.DataFrame(rows), options.log)
+    results = _drive_blocks(options, blocks, seeds)
 
     costs = zip(MEASURED_COSTS.names, MEASURED_COSTS.each, strict=True)
     counted = ", ".join(f"{name} {1e3 * seconds:.2g}" for name, seconds in costs)
@@ -285,6 +257,43 @@ def bench_road(options: argparse.Namespace) -> None:
             f" {counted} ms a car"
         )
         print_tables(driver_table(heading, figures))
+
+
+def _drive_blocks(
+    options: argparse.Namespace,
+    blocks: "Sequence[Block]",
+    seeds: range,
+) -> dict[str, dict[str, dict]]:
+    """Drive all episodes, and write files after every block.
+
+    Returns:
+        The summary of every driver in every scene.
+    """
+    import pandas as pd
+
+    from ms_highway.benchmarks.road.episodes import row, run_blocks, summary
+    from ms_highway.experiments.directory import write_table
+    from ms_highway.runtime.files import write_json
+
+    rows: list[dict] = []
+    results: dict[str, dict[str, dict]] = {block.scene: {} for block in blocks}
+
+    def progress() -> str:
+        """Say how many episodes are done."""
+        return f"episodes: {len(rows)} of {len(blocks) * len(seeds)}"
+
+    with telling_often(progress):
+        driven = run_blocks(blocks, seeds, options.films, options.modules)
+        for block, episodes in driven:
+            tell(f"drove {block.scene}, {block.driver}")
+            results[block.scene][block.driver] = summary(block, episodes)
+            rows.extend(row(block, episode) for episode in episodes)
+            # Write after every block, so that a later failure loses nothing.
+            if options.json:
+                write_json(options.json, results)
+            if options.log:
+                write_table(pd.DataFrame(rows), options.log)
+    return results
 
 
 def _chosen_traffic(options: argparse.Namespace, scenes: list[str]) -> str:

@@ -214,7 +214,7 @@ def sweep(options: argparse.Namespace) -> None:
     on a cluster of Slurm (pip install dask-jobqueue), the Python program:
     import subprocess
     from dask_jobqueue import SLURMCluster
-    # of a job, with 4 workers
+    # Each job has these resources, and 4 workers.
     cluster = SLURMCluster(cores=4, processes=4, memory="8GB", walltime="04:00:00")
     cluster.scale(jobs=10)
     sweep = "ms-highway sweep merger --lambdas 0.001:10:25 --out results/sweep"

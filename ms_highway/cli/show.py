@@ -2,6 +2,7 @@
 
 import argparse
 import json
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,7 +34,11 @@ from ms_highway.cli.options import (
 from ms_highway.runtime.names import SCENARIO_NAMES
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from ms_highway.experiments.batch import Batch
+    from ms_highway.experiments.comparison import Comparison
+    from ms_highway.experiments.frontier import Outcomes
 
 
 @command(
@@ -277,12 +282,13 @@ def frontier(options: argparse.Namespace) -> None:
 
     from ms_highway.experiments.batch import make_batch
     from ms_highway.experiments.directory import ResultsDirectory, write_table
-    from ms_highway.experiments.frontier import Outcomes, best, regrets, search
+    from ms_highway.experiments.frontier import Outcomes
     from ms_highway.runtime.compilation import use_devices
     from ms_highway.runtime.sources import late_sources
     from ms_highway.visualization.tables import regret_tables
     from ms_highway.visualization.tradeoff import frontier
 
+    # Refuse what is impossible before anything is computed or written.
     options.lambdas = options.lambdas or [FRONTIER_LAMBDAS]
     comparison = read_comparison(options, ["switching"], options.prices)
     devices = use_devices(options.devices)
@@ -290,7 +296,7 @@ def frontier(options: argparse.Namespace) -> None:
     batches = {name: make_batch(comparison, name) for name in comparison.controllers}
     for batch in batches.values():
         _check_costs(batch)
-    seeds = comparison.seed_range
+
     orders = pd.DataFrame()
     behind = pd.DataFrame()
     with ResultsDirectory(out).owned() as directory:
@@ -314,24 +320,11 @@ def frontier(options: argparse.Namespace) -> None:
                 tell(f"{scenario}: compiling, and driving fixed models and controllers")
                 outcomes.of(outcomes.batch.keys())
                 directory.add_late_sources(settings, late_sources())
+                _search(options, scenario, outcomes, comparison.seed_range)
 
-                rounds = search(
-                    outcomes, seeds, options.prices, options.population, options.rounds
-                )
-                for count in rounds:
-                    tell(
-                        f"{scenario}: round {count} of {options.rounds + 1} done,"
-                        f" {len(outcomes.table)} episodes"
-                    )
-
-                # Judge what was found at every price.
-                names = comparison.controllers[scenario]
-                for price in dict.fromkeys(options.prices):
-                    place = {"scenario": scenario, "price": price}
-                    found = best(outcomes.table, seeds, price).reset_index()
-                    own = regrets(outcomes.table, names, seeds, price)
-                    orders = pd.concat([orders, found.assign(**place)])
-                    behind = pd.concat([behind, own.assign(**place)])
+                found, regrets = _judged(options.prices, comparison, scenario, outcomes)
+                orders = pd.concat([orders, found])
+                behind = pd.concat([behind, regrets])
                 write_table(orders, out / "orders.csv")
                 write_table(behind, out / "regrets.csv")
                 draw = partial(frontier, behind, scenario, options.seeds)
@@ -339,6 +332,53 @@ def frontier(options: argparse.Namespace) -> None:
     for scenario in comparison.controllers:
         print_tables(*regret_tables(behind, scenario))
     say(f"results are in {out}")
+
+
+def _search(
+    options: argparse.Namespace,
+    scenario: str,
+    outcomes: "Outcomes",
+    seeds: range,
+) -> None:
+    """Search for the best orders of a scenario, and tell of every round."""
+    from ms_highway.experiments.frontier import search
+
+    rounds = search(
+        outcomes,
+        seeds,
+        options.prices,
+        options.population,
+        options.rounds,
+    )
+    for count in rounds:
+        tell(
+            f"{scenario}: round {count} of {options.rounds + 1} done,"
+            f" {len(outcomes.table)} episodes"
+        )
+
+
+def _judged(
+    prices: Sequence[float],
+    comparison: "Comparison",
+    scenario: str,
+    outcomes: "Outcomes",
+) -> "tuple[DataFrame, DataFrame]":
+    """Return the best orders that were found at every price, and the regrets."""
+    import pandas as pd
+
+    from ms_highway.experiments.frontier import best, regrets
+
+    orders = []
+    behind = []
+    for price in dict.fromkeys(prices):
+        labels = {"scenario": scenario, "price": price}
+        seeds = comparison.seed_range
+        found = best(outcomes.table, seeds, price).reset_index()
+        orders.append(found.assign(**labels))
+        controllers = comparison.controllers[scenario]
+        regret_rows = regrets(outcomes.table, controllers, seeds, price)
+        behind.append(regret_rows.assign(**labels))
+    return pd.concat(orders), pd.concat(behind)
 
 
 def _check_costs(batch: "Batch") -> None:
