@@ -68,9 +68,13 @@ class Corridor:
         Args:
             s: distances from the beginning of the curve [m].
         """
-        rows = self.curve.curve.interpolate(self.rows, s).astype(np.float32)
+        interpolated = self.curve.curve.interpolate(self.rows, s)
+        rows = interpolated.astype(np.float32)
+
+        # Whether a lane is open is not interpolated: the nearest sample counts.
         samples_of_s = np.round(s / LANE_PATHS.spacing).astype(int)
-        nearest = np.clip(samples_of_s, 0, self.open.shape[1] - 1)
+        last_sample = self.open.shape[1] - 1
+        nearest = np.clip(samples_of_s, 0, last_sample)
         return {
             "lanes": rows[: SHAPE.lanes],
             "edges": rows[SHAPE.lanes :],
@@ -79,13 +83,13 @@ class Corridor:
 
 
 class Section(NamedTuple):
-    """A stretch of a route on which the lanes do not change; None for a closed lane.
+    """A stretch of a route on which the lanes do not change.
 
     Attributes:
-        end: way along the route at its end [m].
-        left: lane to the left.
-        own: lane of the route.
-        right: lane to the right.
+        end: way along the route at the end of the stretch [m].
+        left: lane to the left; None if it is closed.
+        own: lane of the route; None if it is closed.
+        right: lane to the right; None if it is closed.
     """
 
     end: float
@@ -101,15 +105,20 @@ def corridor(chain: Chain, goal: Goal, block: float) -> Corridor:
     ways = curve.ways  # along the chain, at each sample of the curve
     rows = np.zeros((SHAPE.lanes + 2, ways.size))
     is_open = np.zeros((SHAPE.lanes, ways.size), dtype=bool)
+
+    # Measure section by section; short ones may have no samples.
     begin = 0
     for section in _sections(chain, goal, ways[-1]):
         end = int(np.searchsorted(ways, section.end))
-        if end > begin:
-            here = slice(begin, end)
-            width = float((section.own or chain.lanes[-1]).shape.width_at(0.0))
-            measured = _measure(curve.curve, here, section, width)
-            rows[:, here], is_open[:, here] = measured
-            begin = end
+        if end <= begin:
+            continue
+        here = slice(begin, end)
+        width_lane = section.own or chain.lanes[-1]
+        width = float(width_lane.shape.width_at(0.0))
+        section_rows, section_open = _measure(curve.curve, here, section, width)
+        rows[:, here] = section_rows
+        is_open[:, here] = section_open
+        begin = end
     _fill(rows)
     return Corridor(curve, rows, is_open)
 
@@ -135,23 +144,28 @@ def _measure(
     count = here.stop - here.start
     lanes = np.repeat([[-width], [0.0], [width]], count, axis=1)
     is_open = np.zeros((SHAPE.lanes, count), dtype=bool)
-    is_open[1] = section.own is not None
+    own = SHAPE.own_lane
+    is_open[own] = section.own is not None
 
-    # Lanes that diverge from the route are closed where they are far away. The road
-    # reaches from the outermost lane on the left to that on the right.
-    centres = [lanes[1]] if section.own else []
-    for place, lane, step in ((0, section.left, -1), (2, section.right, 1)):
+    # Lanes that diverge from the route are closed where they are far away.
+    centres = []
+    if section.own:
+        centres.append(lanes[own])
+    for lane, step in ((section.left, -1), (section.right, 1)):
         if lane is None:
             continue
         beside = _beside(curve, here, lane)
-        is_near = ~(np.abs(beside) >= ROUTE.nearby * width)
-        lanes[place] = beside
-        is_open[place] = is_near
+        is_far = np.abs(beside) >= ROUTE.nearby * width  # False where NaN
+        is_near = ~is_far
+        lanes[own + step] = beside
+        is_open[own + step] = is_near
         centres.append(np.where(is_near, beside, 0.0))
         outermost = _outermost(lane, step)
         if outermost is not lane:
             centres.append(_beside(curve, here, outermost))
-    centres = centres or [lanes[1]]
+
+    # The road reaches from the outermost lane on the left to that on the right.
+    centres = centres or [lanes[own]]
     left_edge = np.min(centres, axis=0) - width / 2
     right_edge = np.max(centres, axis=0) + width / 2
     return np.concatenate([lanes, [left_edge, right_edge]]), is_open
@@ -169,14 +183,10 @@ def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[Section]:
     for own, end in zip(chain.lanes, chain.starts[1:], strict=True):
         for side, step in enumerate((-1, 1)):
             continuation = goal.next(sides[side])
-            sibling = own.beside(step)
-            joins = continuation and (
-                continuation in own.siblings
-                or continuation.end == goal.towards.get(own.start)
-            )
-            if not joins or continuation in chain.lanes:
-                is_usable = sibling is not None and not sibling.forbidden
-                continuation = sibling if is_usable else None
+            if not _continues(continuation, own, chain, goal):
+                continuation = own.beside(step)
+                if continuation is not None and continuation.forbidden:
+                    continuation = None
             sides[side] = continuation
         yield Section(end, sides[0], own, sides[1])
 
@@ -185,26 +195,42 @@ def _sections(chain: Chain, goal: Goal, until: float) -> Iterator[Section]:
     way = chain.starts[-1]
     while way < until:
         continuations = [goal.next(side) for side in sides]
-        sides = sides if last else continuations
-        way += min((lane.length for lane in continuations if lane), default=inf)
+        if last is None:
+            sides = continuations
+        lengths = [lane.length for lane in continuations if lane]
+        way += min(lengths, default=inf)
         yield Section(way, sides[0], last, sides[1])
+
+
+def _continues(beside: Lane | None, own: Lane, chain: Chain, goal: Goal) -> bool:
+    """Return whether a lane goes on beside the route's own lane.
+
+    It does if it is on the same road, or leads to the goal, and if the route itself
+    does not follow it.
+    """
+    if beside is None or beside in chain.lanes:
+        return False
+    return beside in own.siblings or beside.end == goal.towards.get(own.start)
 
 
 def _fill(rows: Rows) -> None:
     """Replace NaN in rows by interpolation, or by 0 in rows of NaN only."""
     for row in rows:
         is_known = np.isfinite(row)
-        if is_known.any():
-            known = np.flatnonzero(is_known)
-            row[~is_known] = np.interp(np.flatnonzero(~is_known), known, row[is_known])
-        else:
+        if not is_known.any():
             row[:] = 0.0
+            continue
+        known = np.flatnonzero(is_known)
+        unknown = np.flatnonzero(~is_known)
+        row[unknown] = np.interp(unknown, known, row[known])
 
 
 def _outermost(lane: Lane, step: int) -> Lane:
     """Return the last lane to the left, -1, or right, 1, before a forbidden one."""
     other = lane.beside(step)
-    return lane if other is None or other.forbidden else _outermost(other, step)
+    if other is None or other.forbidden:
+        return lane
+    return _outermost(other, step)
 
 
 def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
@@ -217,14 +243,19 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     heading = curve.heading[here]
     spacing = LANE_PATHS.lane_spacing
 
-    # The part of the lane beside these samples, or the whole lane if it is short.
+    # The part of the lane beside these samples ...
     first, _ = lane.shape.local_coordinates(np.array([x[0], y[0]]))
     last, _ = lane.shape.local_coordinates(np.array([x[-1], y[-1]]))
-    low = max(min(first, last) - ROUTE.lane_margin, 0.0)
-    high = min(max(first, last) + ROUTE.lane_margin, lane.length)
+    nearest = min(first, last)
+    farthest = max(first, last)
+    low = max(nearest - ROUTE.lane_margin, 0.0)
+    high = min(farthest + ROUTE.lane_margin, lane.length)
+
+    # ... or the whole lane if this part is short. A curve needs two samples.
     if high - low <= ROUTE.lane_margin:
-        margin = spacing if lane.length < 2 * spacing else 0.0  # for two samples
-        low, high = -margin, lane.length + margin
+        margin = spacing if lane.length < 2 * spacing else 0.0
+        low = -margin
+        high = lane.length + margin
     _, centres, along = samples(lane.shape, low, high)
 
     # The samples in the coordinates of this part.
@@ -233,5 +264,6 @@ def _beside(curve: Curve, here: slice, lane: Lane) -> Row:
     part = Curve(centres[:, 0], centres[:, 1], along, bend, 0.0, spacing)
     s, d, turned = part.project(x, y, heading)
     beyond_end = np.maximum(-s, s - part.end)
-    beside = -d / np.maximum(np.cos(turned), ROUTE.least_cosine)
+    cosine = np.maximum(np.cos(turned), ROUTE.least_cosine)
+    beside = -d / cosine
     return np.where(beyond_end < ROUTE.lane_extension, beside, np.nan)

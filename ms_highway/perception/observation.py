@@ -77,34 +77,28 @@ def observe_road(
     """
     roads = road_map(vehicle.road.network)
     memory = vars(vehicle).setdefault("road_memory", Memory())
-    route = getattr(vehicle, "route", None) or ()
-    roads_of_route = tuple((start, end) for start, end, _ in route)
-    goal_place = destination or roads_of_route or None
-    goal = roads.goal(goal_place)
-    rear = vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
+    destination_now = destination or _roads_of_route(vehicle) or None
+    goal = roads.goal(destination_now)
 
     # The lanes to follow, and the robot's place on the curve along them.
     position = None
-    if memory.lanes and memory.goal == goal_place:
-        position = _continued(vehicle, rear, goal, memory)
+    if memory.lanes and memory.goal == destination_now:
+        position = _continued(vehicle, goal, memory)
     if position is None:
-        chain, way = _first_lanes(vehicle, rear, goal)
-        around = corridor(chain, goal, way // Chain.block_length)
-        position = RoutePosition(
-            chain, way, around, _pose_on(around, rear, vehicle, way)
-        )
+        position = _first_position(vehicle, goal)
     s, d, heading = position.pose
-    memory.goal = goal_place
+    memory.goal = destination_now
     memory.lanes = position.chain.indices
     memory.way = position.way
 
     # The route from there, and the lane changes that the goal asks for.
     knots = s - BEHIND + SPACING * np.arange(SHAPE.route_knots)
     path = paths_from([position.around.curve], np.array([s]), SHAPE.route_knots)
+    route = Curve(path.x[0], path.y[0], path.heading[0], path.curvature[0])
     middle = position.way + vehicle.LENGTH / 2
     changes, room = goal.changes(position.chain, middle)
     return RoadScene(
-        route=Curve(path.x[0], path.y[0], path.heading[0], path.curvature[0]),
+        route=route,
         changes=np.array(changes, np.float32),
         room=np.array(room, np.float32),
         robot=np.array([0.0, d, heading, vehicle.speed], np.float32),
@@ -113,6 +107,12 @@ def observe_road(
         **position.around.at(knots),
         **traffic_of(vehicle, roads, memory.numbers, intentions),
     )
+
+
+def _roads_of_route(vehicle: Vehicle) -> tuple[tuple[str, str], ...]:
+    """Return the roads of a vehicle's ``route``, none without a route."""
+    route = getattr(vehicle, "route", None) or ()
+    return tuple((start, end) for start, end, _ in route)
 
 
 class RoutePosition(NamedTuple):
@@ -131,22 +131,37 @@ class RoutePosition(NamedTuple):
     pose: tuple[float, float, float]
 
 
+def _rear_axle(vehicle: Vehicle) -> Point:
+    """Return the position of the middle of a vehicle's rear axle [m]."""
+    return vehicle.position - vehicle.LENGTH / 2 * vehicle.direction
+
+
 def _pose_on(
     around: Corridor,
-    rear: Point,
     vehicle: Vehicle,
     way: float,
 ) -> tuple[float, float, float]:
     """Return s, d and the relative heading of the rear axle on the curve of a route."""
-    heading = np.array([vehicle.heading], dtype=float)
-    pose = project_cars([around.curve], rear[None], heading, np.array([way]))
-    s, d, relative_heading = (float(value[0]) for value in pose)
-    return s, d, relative_heading
+    positions = _rear_axle(vehicle)[None]
+    headings = np.array([vehicle.heading], dtype=float)
+    ways = np.array([way])
+    s, d, relative_heading = project_cars([around.curve], positions, headings, ways)
+    return float(s[0]), float(d[0]), float(relative_heading[0])
+
+
+def _position_on(
+    chain: Chain,
+    vehicle: Vehicle,
+    goal: Goal,
+    way: float,
+) -> RoutePosition:
+    """Return the position on lanes to follow, from the way along them [m]."""
+    around = corridor(chain, goal, way // Chain.block_length)
+    return RoutePosition(chain, way, around, _pose_on(around, vehicle, way))
 
 
 def _continued(
     vehicle: Vehicle,
-    rear: Point,
     goal: Goal,
     memory: Memory,
 ) -> RoutePosition | None:
@@ -155,16 +170,18 @@ def _continued(
     It is None if the robot has changed lanes.
     """
     # Where the robot is on the lanes that it has followed so far.
-    chain = goal.roads.chain(tuple(goal.roads.lanes[index] for index in memory.lanes))
-    block = memory.way // Chain.block_length
-    around = corridor(chain, goal, block)
-    pose = _pose_on(around, rear, vehicle, memory.way)
-    way = around.curve.way(pose[0])
+    lanes = tuple(goal.roads.lanes[index] for index in memory.lanes)
+    chain = goal.roads.chain(lanes)
+    last_block = memory.way // Chain.block_length
+    last = _position_on(chain, vehicle, goal, memory.way)
+    way = last.around.curve.way(last.pose[0])
+
+    # It has changed lanes if it is on one of their roads nearby, but in another lane.
     leg = chain.leg(way + vehicle.LENGTH / 2)
-    near = chain.indices[max(leg - 1, 0) : leg + 2]
-    index = vehicle.lane_index
-    is_on_roads = any(other[:2] == index[:2] for other in near)
-    if index not in near and is_on_roads:
+    nearby_lanes = chain.indices[max(leg - 1, 0) : leg + 2]
+    lane = vehicle.lane_index
+    is_on_roads = any(other[:2] == lane[:2] for other in nearby_lanes)
+    if lane not in nearby_lanes and is_on_roads:
         return None
 
     # Extend the lanes before they end.
@@ -174,20 +191,18 @@ def _continued(
         ahead = goal.ahead(chain.lanes[leg], length)
         way -= chain.starts[first]
         chain = goal.roads.chain(chain.lanes[first:leg] + ahead)
-    elif way // Chain.block_length == block:
-        return RoutePosition(chain, way, around, pose)
-    around = corridor(chain, goal, way // Chain.block_length)
-    return RoutePosition(chain, way, around, _pose_on(around, rear, vehicle, way))
+    elif way // Chain.block_length == last_block:
+        return last._replace(way=way)
+    return _position_on(chain, vehicle, goal, way)
 
 
-def _first_lanes(vehicle: Vehicle, rear: Point, goal: Goal) -> tuple[Chain, float]:
-    """Return the lanes to follow, and the present way along them [m].
-
-    They begin behind the robot's present lane.
-    """
+def _first_position(vehicle: Vehicle, goal: Goal) -> RoutePosition:
+    """Return the position on lanes that begin behind the robot's present lane."""
     lane = goal.roads.lanes[vehicle.lane_index]
-    place = float(lane.shape.local_coordinates(rear)[0])
+    along, _ = lane.shape.local_coordinates(_rear_axle(vehicle))
+    place = float(along)
     behind = lane.behind(FOLLOWED_LANES.behind - place)
     ahead = goal.ahead(lane, FOLLOWED_LANES.planned_ahead + place)
     chain = goal.roads.chain(behind + ahead)
-    return chain, chain.starts[len(behind)] + place
+    way = chain.starts[len(behind)] + place
+    return _position_on(chain, vehicle, goal, way)

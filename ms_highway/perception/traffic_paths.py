@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, dist, sin
-from operator import itemgetter
-from typing import NamedTuple, TypeAlias, TypedDict
+from operator import attrgetter, itemgetter
+from typing import NamedTuple, TypedDict
 
 import numpy as np
 from highway_env.road.road import LaneIndex
@@ -77,7 +77,7 @@ class TrafficFields(TypedDict):
     accelerations: Traffic
 
 
-class Way(NamedTuple):
+class PossiblePath(NamedTuple):
     """A path that a vehicle or an obstacle may take.
 
     Attributes:
@@ -96,10 +96,18 @@ class Way(NamedTuple):
     place: float
 
 
-Option: TypeAlias = tuple[int, float, Chain]
-"""The rank of a branch, smoothest first, the place where it begins along its lanes [m],
-and its lanes.
-"""
+class Branch(NamedTuple):
+    """Lanes that a vehicle may follow from where it is.
+
+    Attributes:
+        rank: among the branches from the same lane, smoothest first.
+        place: of the vehicle along these lanes [m].
+        chain: these lanes.
+    """
+
+    rank: int
+    place: float
+    chain: Chain
 
 
 def traffic_of(
@@ -116,9 +124,11 @@ def traffic_of(
         numbers: of all vehicles seen so far; new vehicles are added.
         intentions: whether the routes of others are known.
     """
-    ways = _ways(_in_sight(vehicle), numbers, roads, intentions)[: SHAPE.paths]
-    used = len(ways)
-    cars = [way.car for way in ways]
+    in_sight = _in_sight(vehicle)
+    possible = _possible_paths(in_sight, numbers, roads, intentions)
+    used_paths = possible[: SHAPE.paths]
+    used = len(used_paths)
+    cars = [path.car for path in used_paths]
 
     # What is known without a path. Unused paths are far away, with any size.
     far = -1e4  # m
@@ -128,18 +138,20 @@ def traffic_of(
     sizes = np.full((SHAPE.paths, 2), (5.0, 2.0), np.float32)
     limits = np.full(SHAPE.paths, Lane.default_speed_limit, np.float32)
     states = np.zeros((SHAPE.paths, 4), np.float32)
-    owners[:used] = [way.owner for way in ways]
-    moving[:used] = [way.moves for way in ways]
-    positions[:used] = np.reshape([car.position for car in cars], (used, 2))
-    sizes[:used] = np.reshape([(car.LENGTH, car.WIDTH) for car in cars], (used, 2))
-    states[:used, 3] = [car.speed for car in cars]
+    owners[:used] = [path.owner for path in used_paths]
+    moving[:used] = [path.moves for path in used_paths]
+    for number, car in enumerate(cars):
+        positions[number] = car.position
+        sizes[number] = (car.LENGTH, car.WIDTH)
+        states[number, 3] = car.speed
 
     # The paths: x, y, heading and curvature at their knots, [4, paths, knots].
     along = SPACING * np.arange(SHAPE.path_knots, dtype=np.float32)
-    unused = along + np.float32(far), np.full_like(along, far), 0 * along, 0 * along
-    knots = np.repeat(np.array(unused)[:, None], SHAPE.paths, axis=1)
-    _follow_lanes(ways, roads, positions, knots, states, limits)
-    _go_straight_on(ways, along - BEHIND, knots, limits)
+    zero = np.zeros_like(along)
+    unused = np.array([along + np.float32(far), np.full_like(along, far), zero, zero])
+    knots = np.repeat(unused[:, None], SHAPE.paths, axis=1)
+    _follow_lanes(used_paths, roads, positions, knots, states, limits)
+    _go_straight_on(used_paths, along - BEHIND, knots, limits)
 
     paths = Curve(*knots)
     leaders, gaps = _leaders_of(paths, positions, owners)
@@ -157,7 +169,7 @@ def traffic_of(
 
 
 def _follow_lanes(
-    ways: list[Way],
+    used_paths: list[PossiblePath],
     roads: RoadMap,
     positions: Points,
     knots: np.ndarray,
@@ -169,30 +181,38 @@ def _follow_lanes(
     Also fill in the places, headings and speed limits of the vehicles there.
 
     Args:
-        ways: of all vehicles.
+        used_paths: of all vehicles.
         roads: map of the network.
         positions: of the vehicles, by path.
         knots: of all paths, [4, paths, knots], filled in.
         states: of the vehicles on their paths, filled in.
         limits: speed limits, filled in.
     """
-    numbers = [number for number, way in enumerate(ways) if way.chain]
-    spots = [(way.chain, way.place) for way in ways if way.chain]
+    numbers: list[int] = []
+    spots: list[tuple[Chain, float]] = []
+    headings: list[float] = []
+    for number, path in enumerate(used_paths):
+        if path.chain:
+            numbers.append(number)
+            spots.append((path.chain, path.place))
+            headings.append(path.car.heading)
     if not spots:
         return
+
     curves = roads.curves(spots)
-    headings = np.array([ways[number].car.heading for number in numbers], dtype=float)
+    own_positions = positions[numbers]
+    own_headings = np.array(headings, dtype=float)
     places = np.array([place for _, place in spots])
-    s, d, relative = project_cars(curves, positions[numbers], headings, places)
-    path = paths_from(curves, s, SHAPE.path_knots)
-    knots[:, numbers] = path.x, path.y, path.heading, path.curvature
+    s, d, relative_heading = project_cars(curves, own_positions, own_headings, places)
+    ahead = paths_from(curves, s, SHAPE.path_knots)
+    knots[:, numbers] = ahead.x, ahead.y, ahead.heading, ahead.curvature
     states[numbers, 1] = d
-    states[numbers, 2] = relative
+    states[numbers, 2] = relative_heading
     limits[numbers] = [chain.lanes[0].limit for chain, _ in spots]
 
 
 def _go_straight_on(
-    ways: list[Way],
+    used_paths: list[PossiblePath],
     along: Row,
     knots: np.ndarray,
     limits: np.ndarray,
@@ -202,20 +222,21 @@ def _go_straight_on(
     Pedestrians are such.
 
     Args:
-        ways: of all vehicles.
+        used_paths: of all vehicles.
         along: positions of the knots along a path [m].
         knots: of all paths, [4, paths, knots], filled in.
         limits: speed limits, filled in.
     """
-    for number, way in enumerate(ways):
-        if way.chain is None:
-            x, y = way.car.position
-            heading = way.car.heading
-            knots[0, number] = x + along * np.cos(heading)
-            knots[1, number] = y + along * np.sin(heading)
-            knots[2, number] = heading
-            knots[3, number] = 0.0
-            limits[number] = max(way.car.speed, LANE_CHOICE.least_limit)
+    for number, path in enumerate(used_paths):
+        if path.chain is not None:
+            continue
+        x, y = path.car.position
+        heading = path.car.heading
+        knots[0, number] = x + along * np.cos(heading)
+        knots[1, number] = y + along * np.sin(heading)
+        knots[2, number] = heading
+        knots[3, number] = 0.0
+        limits[number] = max(path.car.speed, LANE_CHOICE.least_limit)
 
 
 def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
@@ -233,71 +254,77 @@ def _in_sight(vehicle: Vehicle) -> list[RoadObject]:
 
 def _range_of_sight(vehicle: Vehicle, car: RoadObject) -> float:
     """Return the distance up to which a vehicle sees another one or an obstacle [m]."""
-    if (car.position - vehicle.position) @ vehicle.direction <= 0:
+    ahead = (car.position - vehicle.position) @ vehicle.direction
+    if ahead <= 0:
         return SIGHT.behind
     if not isinstance(car, Vehicle):
         return SIGHT.ahead
     cosine = car.direction @ vehicle.direction
-    return SIGHT.oncoming if cosine < SIGHT.oncoming_cosine else SIGHT.ahead
+    is_oncoming = cosine < SIGHT.oncoming_cosine
+    return SIGHT.oncoming if is_oncoming else SIGHT.ahead
 
 
-def _ways(
+def _possible_paths(
     cars: list[RoadObject],
     numbers: dict[RoadObject, int],
     roads: RoadMap,
     intentions: bool,
-) -> list[Way]:
+) -> list[PossiblePath]:
     """Return the paths that each vehicle may take.
 
     They follow from its position, heading and lane. If its route is known, these are
     the paths that share most of its roads with the route.
     """
-    # Places on the lanes that each vehicle may be following; none for those that follow
-    # no lanes.
-    spots: list[tuple[Lane, float]] = []
-    seen: list[tuple[RoadObject, bool, range]] = []
-    for car in cars:
-        drives = isinstance(car, Vehicle) and not car.crashed
-        first = len(spots)
-        if getattr(car, "follows_lanes", True):
-            own = roads.lanes[car.lane_index]
-            for lane in _possible_lanes(car, own) if drives else [own]:
-                place, _ = lane.shape.local_coordinates(car.position)
-                spots.append((lane, float(place)))
-        seen.append((car, drives, range(first, len(spots))))
-    branches = roads.branches(spots)
-
-    # The smoothest branches of each vehicle.
     found = []
-    for car, drives, own_spots in seen:
+    for car in cars:
         number = numbers.setdefault(car, len(numbers))
-        if not own_spots:  # such as a pedestrian
-            found.append(Way(number, car, drives, None, 0.0))
+        drives = isinstance(car, Vehicle) and not car.crashed
+        branches = _branches(car, drives, roads)
+        if not branches:  # such as a pedestrian
+            found.append(PossiblePath(number, car, drives, None, 0.0))
             continue
-        options: list[Option] = []
-        for spot in own_spots:
-            for rank, chain in enumerate(branches[spot]):
-                options.append((rank, spots[spot][1], chain))
+
+        # The smoothest branches.
         if intentions:
-            options = _along_route(options, getattr(car, "route", None) or ())
-        options.sort(key=itemgetter(0))
+            branches = _along_route(branches, getattr(car, "route", None) or ())
+        branches.sort(key=attrgetter("rank"))
         most = SIGHT.paths_of_vehicle if drives else 1
-        for _, place, chain in options[:most]:
-            found.append(Way(number, car, drives, chain, place))
+        for branch in branches[:most]:
+            path = PossiblePath(number, car, drives, branch.chain, branch.place)
+            found.append(path)
     return found
 
 
-def _along_route(options: list[Option], route: Sequence[LaneIndex]) -> list[Option]:
-    """Return the options that share most of their roads with a route."""
+def _branches(car: RoadObject, drives: bool, roads: RoadMap) -> list[Branch]:
+    """Return the branches that a vehicle may follow, none if it follows no lanes."""
+    if not getattr(car, "follows_lanes", True):
+        return []
+    own = roads.lanes[car.lane_index]
+    lanes = _possible_lanes(car, own) if drives else [own]
+
+    # Where the vehicle is on each of the lanes.
+    spots: list[tuple[Lane, float]] = []
+    for lane in lanes:
+        place, _ = lane.shape.local_coordinates(car.position)
+        spots.append((lane, float(place)))
+
+    found = []
+    for (_, place), chains in zip(spots, roads.branches(spots), strict=True):
+        for rank, chain in enumerate(chains):
+            found.append(Branch(rank, place, chain))
+    return found
+
+
+def _along_route(branches: list[Branch], route: Sequence[LaneIndex]) -> list[Branch]:
+    """Return the branches that share most of their roads with a route."""
     roads = {index[:2] for index in route}
 
-    def shared(option: Option) -> int:
-        """Return how many of the option's lanes are on roads of the route."""
-        _, _, chain = option
-        return sum(index[:2] in roads for index in chain.indices)
+    def shared(branch: Branch) -> int:
+        """Return how many of the branch's lanes are on roads of the route."""
+        return sum(index[:2] in roads for index in branch.chain.indices)
 
-    most = max(map(shared, options))
-    return [option for option in options if shared(option) == most]
+    most = max(map(shared, branches))
+    return [branch for branch in branches if shared(branch) == most]
 
 
 def _possible_lanes(car: Vehicle, own: Lane) -> list[Lane]:
@@ -310,20 +337,26 @@ def _possible_lanes(car: Vehicle, own: Lane) -> list[Lane]:
     place, aside = own.shape.local_coordinates(car.position)
     found = [own]
     for end, lanes in own.roads.graph[own.start].items():
-        if end != own.end:
-            other = own.roads.lanes[own.start, end, min(own.number, len(lanes) - 1)]
-            s, d = other.shape.local_coordinates(car.position)
-            cosine = cos(car.heading - other.shape.heading_at(s))
-            has_begun = s >= -LANE_CHOICE.begins_ahead
-            is_near = abs(d) < max(LANE_CHOICE.distance, abs(aside))
-            if has_begun and is_near and cosine > LANE_CHOICE.cosine:
-                found.append(other)
+        if end == own.end:
+            continue
+        number = min(own.number, len(lanes) - 1)
+        other = own.roads.lanes[own.start, end, number]
+        s, d = other.shape.local_coordinates(car.position)
+        cosine = cos(car.heading - other.shape.heading_at(s))
+        has_begun = s >= -LANE_CHOICE.begins_ahead
+        is_near = abs(d) < max(LANE_CHOICE.distance, abs(aside))
+        if has_begun and is_near and cosine > LANE_CHOICE.cosine:
+            found.append(other)
 
     # Where it will be in a second, across its own lane.
-    later = aside + car.speed * sin(car.heading - own.shape.heading_at(place))
+    relative_heading = car.heading - own.shape.heading_at(place)
+    later = aside + car.speed * sin(relative_heading)
     changes_lane = abs(later) > own.shape.width_at(place) / 2
-    beside = own.beside(1 if later > 0 else -1) if changes_lane else own.refuge
-    return [*found, beside] if beside else found
+    side = 1 if later > 0 else -1
+    beside = own.beside(side) if changes_lane else own.refuge
+    if beside:
+        found.append(beside)
+    return found
 
 
 def _leaders_of(paths: Curve, cars: Points, owners: Places) -> tuple[Places, Row]:
