@@ -11,8 +11,9 @@ import gymnasium as gym
 import numpy as np
 import pygame
 from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.vehicle.objects import RoadObject
 
-from ms_highway.envs.colors import PALETTE, model_color
+from ms_highway.envs.colors import PALETTE, Color, model_color
 from ms_highway.envs.viewer import Viewer, words
 from ms_highway.road.driver import RoadStep
 from ms_highway.road.traffic_models import TRAFFIC_MODELS
@@ -47,9 +48,10 @@ class RoadViewer(Viewer):
     def __init__(self, env: AbstractEnv) -> None:
         super().__init__(env)
         width, height = self.sim_surface.get_size()
-        self.picture = pygame.Surface((width, height + PANEL))
+        size = (width, height + PANEL)
+        self.picture = pygame.Surface(size)
         if not self.offscreen:
-            self.screen = pygame.display.set_mode((width, height + PANEL))
+            self.screen = pygame.display.set_mode(size)
 
     def display(self) -> None:
         """Draw everything."""
@@ -81,7 +83,7 @@ class RoadViewer(Viewer):
         ego = self.env.vehicle
         surface = self.sim_surface
         known_cars = list(ego.road_memory.numbers)
-        predictions = np.asarray(step.humans, dtype=float)
+        predictions = np.asarray(step.humans, dtype=float)  # [paths, steps, 2]
 
         # The paths with a prediction; the most expensive rung colours its car last.
         predicted = []
@@ -89,16 +91,12 @@ class RoadViewer(Viewer):
             step.models, step.owners, predictions, strict=True
         ):
             if rung:
-                predicted.append((TRAFFIC_MODELS.index(rung), known_cars[owner], path))
+                number = TRAFFIC_MODELS.index(rung)
+                predicted.append((number, known_cars[owner], path))
         predicted.sort(key=itemgetter(0))
         for number, car, path in predicted:
             color = model_color(TRAFFIC_MODELS[number])
-            if not car.crashed:
-                corners = [surface.vec2pix(corner) for corner in car.polygon()]
-                pygame.draw.polygon(surface, color, corners)
-            for point in path[1::2]:
-                pygame.draw.circle(surface, PALETTE.paper, surface.vec2pix(point), 3)
-                pygame.draw.circle(surface, color, surface.vec2pix(point), 2)
+            self._draw_prediction(car, path, color)
 
         # The plan, with a light border.
         positions = np.asarray(step.path, dtype=float)[:, :2]
@@ -107,13 +105,31 @@ class RoadViewer(Viewer):
             pygame.draw.lines(surface, PALETTE.paper, False, line, 4)
             pygame.draw.lines(surface, PALETTE.ink, False, line, 2)
 
+    def _draw_prediction(self, car: RoadObject, path: np.ndarray, color: Color) -> None:
+        """Colour a car, and draw every second predicted position as a dot.
+
+        Args:
+            car: that is predicted.
+            path: x and y after each step [steps, 2].
+            color: of its rung.
+        """
+        surface = self.sim_surface
+        if not car.crashed:
+            corners = [surface.vec2pix(corner) for corner in car.polygon()]
+            pygame.draw.polygon(surface, color, corners)
+        for point in path[1::2]:
+            middle = surface.vec2pix(point)
+            pygame.draw.circle(surface, PALETTE.paper, middle, 3)
+            pygame.draw.circle(surface, color, middle, 2)
+
     def _draw_panel(self, step: RoadStep | None) -> None:
         """Write what drives, and how long the plan took.
 
         Before that, write how many cars each rung predicts.
         """
         width, height = self.picture.get_size()
-        pygame.draw.rect(self.picture, PALETTE.paper, (0, height - PANEL, width, PANEL))
+        panel = (0, height - PANEL, width, PANEL)
+        pygame.draw.rect(self.picture, PALETTE.paper, panel)
         text = f"{self.env.vehicle.speed:.1f} m/s"
         place = self.text_gap
         if step is not None:
@@ -122,15 +138,17 @@ class RoadViewer(Viewer):
             rungs_of_cars = dict.fromkeys(zip(step.models, owners, strict=True))
             counts = Counter(rung for rung, _ in rungs_of_cars if rung)
             for rung, count in counts.items():
-                dot = place + 4, height - PANEL // 2
-                pygame.draw.circle(self.picture, model_color(rung), dot, 5)
+                middle = (place + 4, height - PANEL // 2)
+                pygame.draw.circle(self.picture, model_color(rung), middle, 5)
                 place = self._write(f"{rung} {count}", place + 14)
 
-            meaning = {
+            meanings = {
                 "proposal": "proposal: planned now",
                 "last plan": "last plan: planned earlier",
-            }.get(step.source, step.source)
-            milliseconds = 1e3 * (step.planning_seconds + step.decision_seconds)
+            }
+            meaning = meanings.get(step.source, step.source)
+            seconds = step.planning_seconds + step.decision_seconds
+            milliseconds = 1e3 * seconds
             text = f"{meaning}, {milliseconds:.1f} ms, {text}"
         self._write(text, place)
 
@@ -138,5 +156,6 @@ class RoadViewer(Viewer):
         """Write on the panel from a place on, and return the place after the text."""
         label = words(text, self.text_size, PALETTE.ink)
         middle = self.picture.get_height() - PANEL // 2
-        self.picture.blit(label, label.get_rect(midleft=(place, middle)))
+        position = label.get_rect(midleft=(place, middle))
+        self.picture.blit(label, position)
         return place + label.get_width() + self.text_gap

@@ -12,7 +12,7 @@ from highway_env.vehicle.kinematics import Vehicle
 from ms_highway.game.scene import Scene, far_behind, places
 from ms_highway.geometry.curve import BEHIND, SPACING, Curve, interpolate
 from ms_highway.geometry.road_map import Lane
-from ms_highway.perception.scene import RoadScene
+from ms_highway.perception.scene import SHAPE, RoadScene
 from ms_highway.runtime.arrays import State
 from ms_highway.vehicle import states_of
 
@@ -72,33 +72,42 @@ def look(driver: Vehicle, seen: RoadScene) -> RoadView:
     """
     # The driver and the others on its straightened route.
     x, y, heading, speed = states_of([driver])[0]
-    own = np.array([*seen.route.project(x, y, heading), speed])
+    s, d, relative_heading = seen.route.project(x, y, heading)
+    own = np.array([s, d, relative_heading, speed])
     others = _others(seen)
 
     # The lanes beside the driver; where its own one ends, its centre moves to the
-    # wanted lane's.
-    lanes = interpolate(seen.lanes, own[0])
-    wanted = 1 + int(np.sign(seen.changes[1]))
+    # target lane's.
+    lanes = interpolate(seen.lanes, s)
+    own_lane = SHAPE.own_lane
+    direction = int(np.sign(seen.changes[own_lane]))
+    target_lane = own_lane + direction
     merging_length = VIEW.merge_begin - VIEW.merge_end
     merged = np.clip((VIEW.merge_begin - seen.room) / merging_length, 0.0, 1.0)
-    lanes[1] += (lanes[wanted] - lanes[1]) * merged
-    lanes = np.where(seen.open[:, int(BEHIND / SPACING)], lanes, lanes[1])
+    lanes[own_lane] += (lanes[target_lane] - lanes[own_lane]) * merged
+
+    # A closed lane repeats the driver's.
+    present_knot = int(BEHIND / SPACING)
+    is_open = seen.open[:, present_knot]
+    lanes = np.where(is_open, lanes, lanes[own_lane])
 
     width = float(driver.lane.width_at(0.0))
-    numbers, taken = places(own, others, seen.present, np.array(width))
     scene = Scene(
         lanes,
         width,
         car_size=np.array([driver.LENGTH, driver.WIDTH]),
-        target_lane=lanes[wanted],
-        bend=float(seen.route.bend(own[0])),
+        target_lane=lanes[target_lane],
+        bend=float(seen.route.bend(s)),
     )
+
+    # The neighbours; a place that nobody takes is far behind.
+    numbers, taken = places(own, others, seen.present, np.array(width))
     neighbours = np.where(taken[:, None], others[numbers], far_behind(own))
-    limit = min(
-        driver.lane.speed_limit or Lane.default_speed_limit,
-        _limit_before_bends(seen.route, own[0]),
-    )
-    return RoadView(seen, scene, np.stack([own, *neighbours]), limit)
+    states = np.stack([own, *neighbours])
+
+    limit_of_lane = driver.lane.speed_limit or Lane.default_speed_limit
+    limit = min(limit_of_lane, _limit_before_bends(seen.route, float(s)))
+    return RoadView(seen, scene, states, limit)
 
 
 def _others(seen: RoadScene) -> State:
@@ -114,8 +123,12 @@ def _limit_before_bends(route: Curve, place: float) -> float:
 
     The driver brakes moderately before all bends ahead.
     """
-    ahead = np.arange(0.0, VIEW.bends_ahead)
-    bends = np.maximum(np.abs(route.bend(place + ahead)), VIEW.least_curvature)
+    ahead = np.arange(0.0, VIEW.bends_ahead)  # every metre
+    curvature = np.abs(route.bend(place + ahead))
+    bends = np.maximum(curvature, VIEW.least_curvature)
+
+    # A bend of curvature k allows v^2 = cornering / k. At a distance x before it,
+    # braking by b allows 2 b x more.
     squared_in_bend = np.maximum(VIEW.cornering / bends, VIEW.lowest_speed**2)
     squared_speed = squared_in_bend + 2 * VIEW.braking * ahead
     return float(np.sqrt(squared_speed).min())

@@ -41,14 +41,20 @@ def limited_control(
     grip^2 - (v^2 k)^2``.
     """
     grip = planning.grip
-    squared = jnp.maximum(speed, GRIP_USE.lowest_speed) ** 2
+    squared_speed = jnp.maximum(speed, GRIP_USE.lowest_speed) ** 2
 
+    # Braking b has its share of the grip first.
     braking = jnp.clip(-control[..., 1], 0.0, GRIP_USE.braking_share * grip)
-    sharpest = jnp.minimum(planning.curvature, jnp.sqrt(grip**2 - braking**2) / squared)
+
+    # The curvature k: (v^2 k)^2 <= grip^2 - b^2.
+    lateral_grip = jnp.sqrt(grip**2 - braking**2)
+    sharpest = jnp.minimum(planning.curvature, lateral_grip / squared_speed)
     curvature = jnp.clip(control[..., 0], -sharpest, sharpest)
 
-    left = jnp.sqrt(jnp.maximum(grip**2 - (squared * curvature) ** 2, 1e-6))
-    acceleration = jnp.clip(control[..., 1], -left, left)
+    # The acceleration a: a^2 <= grip^2 - (v^2 k)^2. The car does not drive backwards.
+    squared_grip_left = grip**2 - (squared_speed * curvature) ** 2
+    hardest = jnp.sqrt(jnp.maximum(squared_grip_left, 1e-6))
+    acceleration = jnp.clip(control[..., 1], -hardest, hardest)
     acceleration = jnp.maximum(acceleration, -speed / planning.time_step)
     return jnp.stack([curvature, acceleration], axis=-1)
 
@@ -57,7 +63,7 @@ def advance(
     scene: RoadScene,
     planning: RoadPlanning,
     state: Car,
-    wanted: Control,
+    desired: Control,
 ) -> tuple[Car, Control]:
     """Return the state one time step later, and the control within the grip.
 
@@ -76,18 +82,21 @@ def advance(
     the frame. In a bend, the road turns meanwhile, so that the car is carried outwards
     by ``v^2 k_r frame / 2`` in a second unless it points inwards by as much.
     """
-    control = limited_control(planning, state[3], wanted)
+    control = limited_control(planning, state[3], desired)
     curvature = control[0]
     acceleration = control[1]
     s, d, heading, speed = state
     dt = planning.time_step
-    bend = interpolate(scene.route.curvature, s + 0.5 * speed * dt)
+    middle_of_step = s + 0.5 * speed * dt
+    bend = interpolate(scene.route.curvature, middle_of_step)
 
     # The speed u of the rear axle, and the speed s' along the road.
     slip_sine = curvature * scene.size[0] / 2
-    rear_speed = speed * jnp.sqrt(jnp.maximum(1 - slip_sine**2, 0.1))
+    slip_cosine = jnp.sqrt(jnp.maximum(1 - slip_sine**2, 0.1))
+    rear_speed = speed * slip_cosine
     s_rate = rear_speed * jnp.cos(heading) / jnp.maximum(1 - d * bend, 0.2)
 
+    # The direction of motion lags behind the heading, see `RoadPlanning.lag`.
     direction = heading - bend * s_rate * planning.lag
     d_rate = rear_speed * jnp.sin(direction)
     heading_rate = speed * curvature - bend * s_rate
@@ -100,7 +109,9 @@ def bodies(scene: RoadScene, states: States) -> Pose:
 
     The centre is half a length ahead of the rear axle.
     """
-    x, y, along = scene.route.place(states[..., 0], states[..., 1])
-    heading = along + states[..., 2]
-    half = scene.size[0] / 2
-    return x + half * jnp.cos(heading), y + half * jnp.sin(heading), heading
+    x, y, route_heading = scene.route.place(states[..., 0], states[..., 1])
+    heading = route_heading + states[..., 2]
+    half_length = scene.size[0] / 2
+    centre_x = x + half_length * jnp.cos(heading)
+    centre_y = y + half_length * jnp.sin(heading)
+    return centre_x, centre_y, heading

@@ -229,15 +229,21 @@ def _discomfort(situation: Situation, simulated: SimulatedPlans) -> Steps:
     weights = situation.weights
     curvature, acceleration = jnp.moveaxis(simulated.controls, -1, 0)
 
-    squared_speed = earlier(scene.robot[3], simulated.states[..., 3]) ** 2
+    # Longitudinal acceleration, and the lateral one beyond that of the road.
+    present_speed = scene.robot[3]
+    squared_speed = earlier(present_speed, simulated.states[..., 3]) ** 2
     lateral = squared_speed * curvature
     bend = interpolate(scene.route.curvature, simulated.states[..., 0])
-    squared = acceleration**2 + (lateral - squared_speed * bend) ** 2
+    excess_lateral = lateral - squared_speed * bend
+    squared = acceleration**2 + excess_lateral**2
 
-    last_lateral = earlier(scene.robot[3] ** 2 * scene.applied[0], lateral)
-    last_acceleration = earlier(scene.applied[1], acceleration)
-    change = (lateral - last_lateral) ** 2 + (acceleration - last_acceleration) ** 2
-    squared_jerk = change / situation.planning.time_step**2
+    # Jerk is the change of both since the step before, also of the applied control.
+    applied_curvature, applied_acceleration = scene.applied
+    applied_lateral = present_speed**2 * applied_curvature
+    lateral_change = lateral - earlier(applied_lateral, lateral)
+    acceleration_change = acceleration - earlier(applied_acceleration, acceleration)
+    squared_change = lateral_change**2 + acceleration_change**2
+    squared_jerk = squared_change / situation.planning.time_step**2
     return weights.acceleration * squared + weights.jerk * squared_jerk
 
 
@@ -249,7 +255,8 @@ def _leaves(situation: Situation, simulated: SimulatedPlans) -> PlanFlags:
     scene = situation.scene
     states = simulated.states
     length, width = scene.size
-    left_edge, right_edge = interpolate(scene.edges, states[..., 0] + length / 2)
+    middle = states[..., 0] + length / 2
+    left_edge, right_edge = interpolate(scene.edges, middle)
 
     # Lateral positions of the four corners, [corners, plans, steps].
     corners = jnp.stack(
@@ -263,7 +270,9 @@ def _leaves(situation: Situation, simulated: SimulatedPlans) -> PlanFlags:
     beyond_left = left_edge - corners.min(axis=0)
     beyond_right = corners.max(axis=0) - right_edge
     beyond = jnp.maximum(jnp.maximum(beyond_left, beyond_right), 0.0)
-    return (beyond > beyond[:, :1] + CONSTRAINTS.off_road_tolerance).any(axis=1)
+    after_first_step = beyond[:, :1]
+    leaves = beyond > after_first_step + CONSTRAINTS.off_road_tolerance
+    return leaves.any(axis=1)
 
 
 class Collisions(NamedTuple):
@@ -311,23 +320,27 @@ def _collisions(
 
     # Collisions that a later plan can avoid cost less; expected costs fade with time.
     avoidable = _avoidable(situation, simulated)  # [plans, traffic]
-    binds = ~(avoidable[..., None] & (dt * steps > CONSTRAINTS.certain_time))
+    is_uncertain = dt * steps > CONSTRAINTS.certain_time  # [steps]
+    binds = ~(avoidable[..., None] & is_uncertain)
     fading = ERRORS.discount**steps * jnp.where(binds, 1.0, weights.avoidable)
 
-    # Nearness, braking of those behind, collisions, and blocked crossings.
+    # Nearness, and braking of those behind, summed over steps.
     near = jnp.clip(1 - distance / weights.comfortable, 0.0, 1.0) ** 2
+    near_cost = dt * weights.near * jnp.sum(near * fading, axis=-1)
     imposed = _imposed_braking(situation, simulated)
+    imposed_cost = dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
+
+    # Collisions, the first of which fades least, and blocked crossings.
     margin = jnp.where(scene.moving, CONSTRAINTS.margin, CONSTRAINTS.wreck_margin)
     depth = margin[:, None] - distance
     collision = jnp.max(jnp.where(depth > 0, fading, 0.0), axis=-1)
+    collision_cost = weights.collision * collision
     blocked = blocks(situation, simulated)
-    cost = (
-        dt * weights.near * jnp.sum(near * fading, axis=-1)
-        + dt * weights.imposed * jnp.sum(imposed**2, axis=-1)
-        + weights.collision * collision
-        + weights.blocking * blocked * jnp.where(avoidable, weights.avoidable, 1.0)
-    )
+    blocking_factor = jnp.where(avoidable, weights.avoidable, 1.0)
+    blocking_cost = weights.blocking * blocked * blocking_factor
+    cost = near_cost + imposed_cost + collision_cost + blocking_cost  # [plans, traffic]
 
+    # What breaks constraints.
     intrusion = jnp.where(binds, jnp.maximum(depth, 0.0), 0.0)
     is_impact = (steps == _first(touches)) & binds
     relative = _relative_speed(simulated, own_pose[2], other_pose[2])

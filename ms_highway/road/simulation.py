@@ -87,9 +87,10 @@ def simulate(
             given_control, step_across, rows = inputs
             traffic = traffic_motion(situation, along, step_across, speed)
 
+            # Both the robot and the others act on what is now.
             own_control = plan_control(situation, plan, car, traffic)
-            wanted = jnp.where(plan.is_given, given_control, own_control)
-            next_car, control = advance(scene, planning, car, wanted)
+            desired = jnp.where(plan.is_given, given_control, own_control)
+            next_car, control = advance(scene, planning, car, desired)
             along, speed = move_traffic(situation, behaviour, rows, traffic, car)
 
             moved = traffic_motion(situation, along, step_across, speed)
@@ -104,15 +105,16 @@ def simulate(
     records = jax.vmap(simulate_one)(plans, behaviour.accelerations)
 
     # Others have their steps in the last axis, [plans, traffic, steps].
-    traffic = TrafficMotion(*(jnp.swapaxes(field, 1, 2) for field in records.traffic))
+    traffic = jax.tree.map(lambda field: jnp.swapaxes(field, 1, 2), records.traffic)
 
-    # Trajectories in world coordinates: [plans, 4, steps] and
-    # [plans, traffic, 4, steps].
+    # The robot in world coordinates, [plans, 4, steps].
     own_pose = bodies(scene, records.state)
-    centre = jnp.stack([*own_pose, records.state[..., 3]], axis=-2)
-    x, y, path_heading = jax.vmap(Curve.place, (0, -2, 0), -2)(
-        scene.paths, traffic.along, across
-    )
+    own_speed = records.state[..., 3]
+    centre = jnp.stack([*own_pose, own_speed], axis=-2)
+
+    # The others in world coordinates, [plans, traffic, 4, steps].
+    place_on_paths = jax.vmap(Curve.place, (0, -2, 0), -2)
+    x, y, path_heading = place_on_paths(scene.paths, traffic.along, across)
     heading = path_heading + scene.body_angle - _slip_angles(scene, traffic.along)
     world = jnp.stack([x, y, heading, traffic.speed], axis=-2)
     return SimulatedPlans(records.state, records.control, centre, world, traffic)
@@ -123,7 +125,8 @@ def _slip_angles(scene: RoadScene, along: PerPathAndStep) -> PerPathAndStep:
 
     In bends, centres do not move along the heading.
     """
-    bends = jax.vmap(Curve.bend, (0, -2), -2)(scene.paths, along)
+    bend_of_paths = jax.vmap(Curve.bend, (0, -2), -2)
+    bends = bend_of_paths(scene.paths, along)
     bends = jnp.where(scene.moving[:, None], bends, 0.0)
     sine = bends * scene.sizes[:, :1] / 2
     largest = GRIP_USE.largest_slip_sine

@@ -58,11 +58,20 @@ def lateral_position(
         right: distance of the point to the right of the middle [m].
     """
     s, d, heading, _ = jnp.moveaxis(states, -1, 0)
+
+    # The curvature k of the road, in the middle between the rear axle and the point.
     bend = interpolate(scene.route.curvature, s + ahead / 2)
-    x = ahead * jnp.cos(heading) - right * jnp.sin(heading)
-    y = d + ahead * jnp.sin(heading) + right * jnp.cos(heading)
+
+    # The point relative to a straight road.
+    cosine = jnp.cos(heading)
+    sine = jnp.sin(heading)
+    x = ahead * cosine - right * sine
+    y = d + ahead * sine + right * cosine
+
+    # y - x^2 k / (c + sqrt(c^2 + (k x)^2)), c = 1 - k y
     c = 1 - bend * y
-    return y - bend * x**2 / (c + jnp.sqrt(c**2 + (bend * x) ** 2))
+    root = jnp.sqrt(c**2 + (bend * x) ** 2)
+    return y - bend * x**2 / (c + root)
 
 
 def inward_shift_of(scene: RoadScene) -> Knots:
@@ -78,7 +87,8 @@ def inward_shift_of(scene: RoadScene) -> Knots:
     """
     length, width = scene.size
     left, own, right = scene.lanes
-    half_lane = jnp.maximum(own - left, right - own) / 2
+    lane_spacing = jnp.maximum(own - left, right - own)
+    half_lane = lane_spacing / 2
     room = half_lane - SHARP_BENDS.corner_margin
 
     # Where the body is while the rear axle is in the middle of the lane.
@@ -94,7 +104,8 @@ def inward_shift_of(scene: RoadScene) -> Knots:
     nearby_excess = jax.lax.reduce_window(
         excess, -jnp.inf, jax.lax.max, (SHARP_BENDS.knots,), (1,), "SAME"
     )
-    return -body_middle * jnp.clip(nearby_excess / SHARP_BENDS.fade, 0.0, 1.0)
+    sharpness = jnp.clip(nearby_excess / SHARP_BENDS.fade, 0.0, 1.0)
+    return -body_middle * sharpness
 
 
 def sharpest_bends(scene: RoadScene, inward_shift: Knots) -> Knots:
@@ -105,7 +116,9 @@ def sharpest_bends(scene: RoadScene, inward_shift: Knots) -> Knots:
     the bend.
     """
     bends = jnp.abs(scene.route.curvature)
-    half_length = jnp.round(scene.size[0] / 2 / SPACING).astype(int)
-    knots_ahead = jnp.minimum(jnp.arange(len(bends)) + half_length, len(bends) - 1)
+    half_length = scene.size[0] / 2
+    knots_of_half_length = jnp.round(half_length / SPACING).astype(int)
+    last_knot = len(bends) - 1
+    knots_ahead = jnp.minimum(jnp.arange(len(bends)) + knots_of_half_length, last_knot)
     bends_ahead = jnp.where(inward_shift == 0, 0.0, bends[knots_ahead])
     return jnp.maximum(bends, bends_ahead)

@@ -67,8 +67,10 @@ class Way:
 
     def lane_at(self, point: int) -> Lane:
         """Return the lane at a point of the line."""
-        after = np.searchsorted(self.line.starts, WAYS.spacing * point, side="right")
-        return self.line.lanes[max(int(after) - 1, 0)]
+        distance = WAYS.spacing * point
+        lanes_begun = np.searchsorted(self.line.starts, distance, side="right")
+        number = max(int(lanes_begun) - 1, 0)
+        return self.line.lanes[number]
 
     def enters_before(self, point: int) -> bool:
         """Return whether the vehicle enters another lane or road on its way to a point.
@@ -78,19 +80,22 @@ class Way:
         # A vehicle beside the middle of its lane is changing lanes now.
         lane = self.line.lanes[0].shape
         _, offset = lane.local_coordinates(self.vehicle.position)
-        if abs(offset) > lane.width_at(0.0) / 4 and self.place < lane.length:
+        is_beside = abs(offset) > lane.width_at(0.0) / 4
+        if is_beside and self.place < lane.length:
             return True
 
+        distance = WAYS.spacing * point
         entering = self.line.entering
         not_passed = entering > self.place - WAYS.merging
-        not_later = entering <= WAYS.spacing * point + WAYS.merging
+        not_later = entering <= distance + WAYS.merging
         return bool(np.any(not_passed & not_later))
 
     def ends_at(self, point: int) -> bool:
         """Return whether a point is the last one of the line, or of those in reach."""
+        distance = WAYS.spacing * point
         length = WAYS.spacing * (len(self.line.points) - 1)
         end = min(length, self.place + WAYS.reach)
-        return bool(WAYS.spacing * point > end - 2 * WAYS.spacing)
+        return bool(distance > end - 2 * WAYS.spacing)
 
 
 def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
@@ -101,12 +106,15 @@ def way_of(vehicle: Vehicle, target: LaneIndex | None = None) -> Way:
         target: lane to which it goes; by default, the one to which it goes already.
     """
     roads = road_map(vehicle.road.network)
-    target = target or getattr(vehicle, "target_lane_index", None) or vehicle.lane_index
+    own_target = getattr(vehicle, "target_lane_index", None)
+    first = target or own_target or vehicle.lane_index
     route = tuple(getattr(vehicle, "route", None) or ())
-    lanes = _lanes_ahead(roads, target, route)
+    lanes = _lanes_ahead(roads, first, route)
 
     # Before its lane ends, a vehicle may already have the next one as its target.
-    if vehicle.lane_index[1] == target[0]:
+    start_of_target = first[0]
+    end_of_present = vehicle.lane_index[1]
+    if end_of_present == start_of_target:
         lanes = (roads.lanes[vehicle.lane_index], *lanes)
 
     line = _line(roads, lanes)
@@ -145,33 +153,43 @@ def next_lane(lane: Lane, route: tuple[LaneIndex, ...]) -> Lane | None:
         return float(other.shape.distance(last))
 
     def continued(end: str, number: int | None) -> Lane:
+        """Return the next lane on the road to a node, with this number if it has one.
+
+        On a road with another number of lanes, it is the nearest one.
+        """
         road = lane.roads.road(lane.end, end)
         if len(road) != len(lane.siblings):
             return min(road, key=distance)
-        return road[lane.number if number is None else number]
+        if number is None:
+            number = lane.number
+        return road[number]
 
     # The lane of the route, unless it is too far aside.
+    width = lane.shape.width_at(lane.length)
     for start, end, number in route:
         if start == lane.end:
             continuing = continued(end, number)
             _, offset = continuing.shape.local_coordinates(last)
-            if abs(offset) < WAYS.lanes_crossed * lane.shape.width_at(lane.length):
+            if abs(offset) < WAYS.lanes_crossed * width:
                 return continuing
             break
 
+    # The nearest lane of all roads.
     ends = lane.roads.graph.get(lane.end, {})
-    return min((continued(end, None) for end in ends), key=distance, default=None)
+    candidates = [continued(end, None) for end in ends]
+    return min(candidates, key=distance, default=None)
 
 
 @cached_on_owner
 def _line(roads: RoadMap, lanes: Lanes) -> Line:
     """Return the line along lanes."""
     # Points on the middle of each lane.
-    starts = np.cumsum([0.0, *(lane.length for lane in lanes[:-1])])
-    places = np.arange(0.0, starts[-1] + lanes[-1].length, WAYS.spacing)
-    numbers = np.searchsorted(starts, places, side="right") - 1
+    lengths = [lane.length for lane in lanes]
+    starts = np.cumsum([0.0, *lengths[:-1]])
+    places = np.arange(0.0, starts[-1] + lengths[-1], WAYS.spacing)
+    lane_of_place = np.searchsorted(starts, places, side="right") - 1
     points = np.zeros((len(places), 2))
-    for point, number in enumerate(numbers):
+    for point, number in enumerate(lane_of_place):
         along = places[point] - starts[number]
         points[point] = lanes[number].shape.position(along, 0.0)
 
@@ -181,9 +199,12 @@ def _line(roads: RoadMap, lanes: Lanes) -> Line:
         end = before.shape.position(before.length, 0.0)
         jump = after.shape.position(0.0, 0.0) - end
         later = places >= start
-        share_left = np.exp(-(places[later] - start) / WAYS.merging)
+        distance = places[later] - start
+        share_left = np.exp(-distance / WAYS.merging)
         points[later] -= jump * share_left[:, None]
+
         changes_lane = np.hypot(*jump) > before.shape.width_at(0.0) / 2
-        if changes_lane or len(after.siblings) > len(before.siblings):
+        comes_from_smaller_road = len(after.siblings) > len(before.siblings)
+        if changes_lane or comes_from_smaller_road:
             entering.append(start)
     return Line(lanes, starts, points, np.array(entering))
