@@ -203,7 +203,7 @@ def until_still(
     step: Callable[[Index, Iterate], Iterate],
     start: Iterate,
     most: Index,
-    controls: Callable[[Iterate], PyTree],
+    controls_of: Callable[[Iterate], PyTree],
 ) -> tuple[Iterate, Index, Flag]:
     """Repeat a step until it hardly moves anything.
 
@@ -216,7 +216,7 @@ def until_still(
         step: takes the index of the step and an iterate, and returns the next one.
         start: first iterate.
         most: largest number of steps.
-        controls: of an iterate; their change is the norm of a step.
+        controls_of: returns those of an iterate; their change is the norm of a step.
 
     Returns:
         The last iterate, the number of steps that were computed, and whether the last
@@ -231,7 +231,7 @@ def until_still(
 
         # The fraction to take, by the norm of the step.
         change = jax.tree.map(jnp.subtract, after, before)
-        moved = jax.tree.leaves(controls(change))
+        moved = jax.tree.leaves(controls_of(change))
         norm = jnp.sqrt(sum(jnp.sum(array**2) for array in moved))
         fade = jnp.clip(norm / NEWTON_STEPS.tolerance - 1, 0.0, 1.0)
 

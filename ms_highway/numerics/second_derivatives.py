@@ -108,7 +108,8 @@ def second_order_expansion(
     # The cost is a sum over controls, so that the change of its gradient along all of
     # them at once is the diagonal of its Hessian.
     everywhere = jnp.ones_like(controls)
-    cost_gradient, diagonal = jax.jvp(jax.grad(cost), (controls,), (everywhere,))
+    gradient_of_cost = jax.grad(cost)
+    cost_gradient, diagonal = jax.jvp(gradient_of_cost, (controls,), (everywhere,))
     gradient = gradient - cost_gradient.ravel()
     hessian = hessian - jnp.diag(diagonal.ravel())
     return Expansion(gradient, hessian, jacobian)

@@ -108,7 +108,7 @@ class Ascent:
         step: Callable[[Index, Iterate], Iterate],
         start: Iterate,
         most: Index,
-        controls: Callable[[Iterate], PyTree],
+        controls_of: Callable[[Iterate], PyTree],
     ) -> Repeated[Iterate]:
         """Repeat a step a number of times.
 
@@ -116,8 +116,8 @@ class Ascent:
             step: takes the index of the step and an iterate, and returns the next one.
             start: first iterate.
             most: number of steps.
-            controls: of an iterate; the norm of their change tells whether the last
-                step moved them.
+            controls_of: returns those of an iterate; the norm of their change tells
+                whether the last step moved them.
         """
 
         def iterate(
@@ -128,7 +128,7 @@ class Ascent:
             after = step(index, before)
 
             # The squared norm of the change of all controls.
-            change = jax.tree.map(jnp.subtract, controls(after), controls(before))
+            change = jax.tree.map(jnp.subtract, controls_of(after), controls_of(before))
             squared = sum(jnp.sum(array**2) for array in jax.tree.leaves(change))
             return after, squared
 
@@ -183,10 +183,10 @@ class Newton:
         step: Callable[[Index, Iterate], Iterate],
         start: Iterate,
         most: Index,
-        controls: Callable[[Iterate], PyTree],
+        controls_of: Callable[[Iterate], PyTree],
     ) -> Repeated[Iterate]:
         """Repeat a step until it hardly moves the controls, see `Ascent.repeat`."""
-        return Repeated(*until_still(step, start, most, controls))
+        return Repeated(*until_still(step, start, most, controls_of))
 
 
 Solver: TypeAlias = Ascent | Newton

@@ -83,16 +83,18 @@ def plan_for(
     """
     if start is None:
         start = cold_start(game, state)
-    last = Plan(jnp.asarray(start.robot), jnp.asarray(start.humans))
+    last = Plan(*map(jnp.asarray, start))
     rungs = None if len(models) == 1 else rungs
 
     # A model either predicts the controls of its humans, who keep to them, or lets its
     # humans respond, perhaps from a start of its own.
-    expected: HumansControls = constant_velocity(game, state[1 : 1 + game.number])
+    humans_now = state[1 : 1 + game.number]
+    expected: HumansControls = constant_velocity(game, humans_now)
     begin = last
     for rung, model in enumerate(models):
         chosen = None if rungs is None else jnp.asarray(rungs) == rung
-        if model.responds and type(model).start is not HumanModel.start:
+        has_own_start = type(model).start is not HumanModel.start
+        if model.responds and has_own_start:
             begin = _with_own_starts(model, chosen, game, state, last, begin)
         if not model.responds and type(model) is not Naive:
             expected = _with_predictions(model, chosen, game, state, last, expected)
@@ -197,9 +199,13 @@ def _with_own_starts(
     starts = for_numbers(game.number, begin)
     if chosen is None:
         return Plan(starts.robot[0], starts.humans)
-    humans = jnp.where(chosen[:, None, None], starts.humans, start.humans)
+
+    # The humans' starts, and the robot's for the first of them.
+    of_chosen = chosen[:, None, None]
+    humans = jnp.where(of_chosen, starts.humans, start.humans)
     first = jnp.argmax(chosen)
-    robot = jnp.where(chosen.any(), starts.robot[first], start.robot)
+    robot_of_first = starts.robot[first]
+    robot = jnp.where(chosen.any(), robot_of_first, start.robot)
     return Plan(robot, humans)
 
 
@@ -406,7 +412,8 @@ def checked_state(state: State) -> State:
             precision.
     """
     state = np.asarray(state)
-    if state.ndim != 2 or state.shape[0] < 2 or state.shape[1] != 4:
+    is_table = state.ndim == 2
+    if not is_table or len(state) < 2 or state.shape[1] != 4:
         raise ValueError(
             "a state has shape [cars, 4] with the robot, its partner and any others;"
             f" got {state.shape}"

@@ -143,8 +143,10 @@ def measure_costs(
         return planning + checking
 
     # Seconds of whole plans, with all humans on each rung.
-    rungs = range(len(ladder))
-    times = [[once(rung) for _ in range(plans.repeats)] for rung in rungs]
+    times = []  # [rungs, repeats]
+    for rung in range(len(ladder)):
+        repeated = [once(rung) for _ in range(plans.repeats)]
+        times.append(repeated)
     whole = np.quantile(times, quantile, axis=1)
 
     # Seconds if only one human is on the rung; no rung takes less than the first one.

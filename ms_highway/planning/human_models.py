@@ -196,7 +196,8 @@ def following_control(game: Game, state: State) -> Control:
 
     # The nearest car ahead whose centre is within half a lane to the side.
     offset = others[:, :2] - own[:2]  # [others, 2]
-    in_lane = jnp.abs(offset[:, 1]) < jnp.asarray(scene.lane_width) / 2
+    half_lane = jnp.asarray(scene.lane_width) / 2
+    in_lane = jnp.abs(offset[:, 1]) < half_lane
     leader, leads = nearest_ahead(offset[:, 0], in_lane)
 
     # The gap between bumpers.
@@ -242,7 +243,8 @@ class TheoryOfMind(HumanModel):
 
 def plan_alone(game: Game, state: State, start: Plan | None = None) -> Solution:
     """Plan the controls of car 0, who believes that others keep their velocity."""
-    partners = constant_velocity(game, state[1 : 1 + game.number])
+    partners_now = state[1 : 1 + game.number]
+    partners = constant_velocity(game, partners_now)
     begin = cold_start(game, state) if start is None else start
     return plan_against(game, state, partners, begin)
 

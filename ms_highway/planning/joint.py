@@ -27,7 +27,7 @@ d2R_i/ds_i ds_R, which couples only fields of the same step::
 From the right, without moving anybody: solve one linear system for the adjoint vector
 -H_i^-1 g_i, and push it to the trajectory of the human by S_i. B_i^T turns it into a
 derivative in the robot's trajectory: the human's *influence*. S_R^T pulls the sum of
-all influences back to the robot's controls. See `ms_highway.planning.responses`; the
+all influences back to the robot's controls. See `ms_highway.planning.influence`; the
 *slope in* a variable stands for the derivative in it.
 """
 
@@ -52,14 +52,14 @@ from ms_highway.numerics.second_derivatives import (
     trajectory_jacobian,
 )
 from ms_highway.numerics.solvers import Ascent
-from ms_highway.planning.joint_newton import newton_step
-from ms_highway.planning.plans import Plan, Solution, best_start, within_limits
-from ms_highway.planning.responders import Interaction, KnownResponders
-from ms_highway.planning.responses import (
+from ms_highway.planning.influence import (
     influence_of,
     pulled_back,
     trajectories_around,
 )
+from ms_highway.planning.joint_newton import newton_step
+from ms_highway.planning.plans import Plan, Solution, best_start, within_limits
+from ms_highway.planning.responders import Interaction, KnownResponders
 from ms_highway.runtime.arrays import (
     Controls,
     HumansControls,
@@ -78,7 +78,8 @@ def plan_against(
 ) -> Solution:
     """Optimise the robot's controls, from a start, against fixed controls of humans."""
     nobody = KnownResponders(())
-    return joint_ascent(Interaction(game, state, nobody), Plan(start.robot, humans))
+    interaction = Interaction(game, state, nobody)
+    return joint_ascent(interaction, Plan(start.robot, humans))
 
 
 @jax.jit  # one trace serves the plans of the robot and of humans under `turn`
@@ -93,7 +94,8 @@ def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
 
     Args:
         interaction: the situation, and the humans who respond.
-        start: scaled plan; humans who do not respond keep to it.
+        start: scaled plan; humans who do not respond keep to it, under ``Newton`` cut
+            to their limits if others may respond.
     """
     game = interaction.game
     state = interaction.state
@@ -104,7 +106,8 @@ def joint_ascent(interaction: Interaction, start: Plan) -> Solution:
     # Under Newton steps, humans who may respond start within their limits.
     if by_newton and not responders.surely_nobody:
         start = within_limits(game, state, start)
-    humans_paths = move_all(game, state[1 : 1 + game.number], start.humans)
+    humans_now = state[1 : 1 + game.number]
+    humans_paths = move_all(game, humans_now, start.humans)
     start_paths = with_scripted(game, state, humans_paths)
 
     # The robot starts at the last plan or a much better manoeuvre, compared while the
@@ -193,11 +196,15 @@ def _gradient_step(
     count = responders.count(iteration)
     humans = responders.fold(count, add_human, nobody_yet)
 
-    # The robot's step along its total gradient, less the slope of its control costs.
+    # The robot's total gradient, less that of the cost of its controls.
     jacobian = trajectory_jacobian(drive, plan.robot)
     uphill = pulled_back(humans.robot_slope, jacobian).reshape(-1, 2)
-    gradient = uphill - jax.grad(partial(discomfort, game, state[0]))(plan.robot)
-    climbed = plan.robot + responders.robot_step_size(solver) * gradient
+    cost = partial(discomfort, game, state[0])
+    gradient = uphill - jax.grad(cost)(plan.robot)
+
+    # The robot's step along it.
+    step_size = responders.robot_step_size(solver)
+    climbed = plan.robot + step_size * gradient
     robot = bounded(game, state[0], climbed)
     return Plan(robot, humans.controls), humans.paths
 

@@ -20,15 +20,15 @@ from jaxtyping import Float
 from ms_highway.game.game import Game, bounded, move, swap_roles
 from ms_highway.numerics.convex_newton import LocalModel, best_share, expand, improve
 from ms_highway.numerics.objective import Objective
-from ms_highway.planning.plans import Plan, plan_objective
-from ms_highway.planning.responders import Interaction
-from ms_highway.planning.responses import (
+from ms_highway.planning.influence import (
     influence_of,
     mixed_hessian,
     pulled_back,
     slope_change,
     trajectories_around,
 )
+from ms_highway.planning.plans import Plan, plan_objective
+from ms_highway.planning.responders import Interaction
 from ms_highway.runtime.arrays import (
     Controls,
     HumansControls,
@@ -124,7 +124,8 @@ def newton_step(
         return _with_human(interaction, start, human, so_far)
 
     count = responders.count(iteration)
-    humans = responders.fold(count, add_human, _no_humans(game, start))
+    nobody_yet = _no_humans(game, start)
+    humans = responders.fold(count, add_human, nobody_yet)
 
     # The robot's whole step, and the reactions of the humans to it. Limits cut neither
     # of them, only the controls that a share of them leads to.
@@ -135,7 +136,8 @@ def newton_step(
         reaction = _reaction(human, humans, path_change)
         return reactions.at[human].set(reaction)
 
-    reactions = responders.fold(count, react, jnp.zeros_like(plan.humans))
+    no_reactions = jnp.zeros_like(plan.humans)
+    reactions = responders.fold(count, react, no_reactions)
     whole = WholeStep(robot_step, humans.controls, reactions)
 
     # The share of it that they take.
@@ -160,7 +162,8 @@ def _no_humans(game: Game, start: StepStart) -> HumansSoFar:
         return jnp.zeros((game.number, *array.shape))
 
     models = jax.tree.map(zeros_of_humans, start.model)
-    mixed_hessians = jnp.zeros((game.number, len(start.path), *start.path.shape))
+    fields, steps = start.path.shape
+    mixed_hessians = jnp.zeros((game.number, fields, fields, steps))
     controls = jnp.asarray(start.plan.humans)
     return HumansSoFar(start.model.gradient, models, mixed_hessians, controls)
 
@@ -183,7 +186,8 @@ def _with_human(
     around = trajectories_around(human, start.path, start.others)
     controls = start.plan.humans[human]
     path = start.others[human]
-    objective = plan_objective(own_game, interaction.state[1 + human], around)
+    car = interaction.state[1 + human]
+    objective = plan_objective(own_game, car, around)
     model = expand(objective, controls, path)
     mixed = mixed_hessian(own_game, path, around)
 
@@ -194,9 +198,10 @@ def _with_human(
     gradient = so_far.gradient + pulled_back(influence, start.model.jacobian)
 
     # Keep the model for the reaction, and take the own step.
-    models = jax.tree.map(
-        lambda of_humans, own: of_humans.at[human].set(own), so_far.models, model
-    )
+    def put(of_humans: jax.Array, own: jax.Array) -> jax.Array:
+        return of_humans.at[human].set(own)
+
+    models = jax.tree.map(put, so_far.models, model)
     mixed_hessians = so_far.mixed_hessians.at[human].set(mixed)
     after = improve(objective, controls, model)
     all_controls = so_far.controls.at[human].set(after)
@@ -246,10 +251,14 @@ def _humans_after(
     ) -> tuple[jax.Array, Trajectories]:
         humans, paths = now
         car = interaction.state[1 + human]
+
+        # Limits and dynamics are the same from the robot's and the human's side.
         reacted = whole.humans[human] + share * whole.reactions[human]
         controls = bounded(game, car, reacted)
         path = move(game, car, controls)
-        return humans.at[human].set(controls), paths.at[human].set(path)
+        humans = humans.at[human].set(controls)
+        paths = paths.at[human].set(path)
+        return humans, paths
 
     before = (jnp.asarray(start.plan.humans), start.others)
     return interaction.responders.fold(count, move_human, before)
@@ -288,7 +297,8 @@ def _share_of_step(
     # The slope along the step at its end: of the reward in the robot's trajectory, of
     # the cost of its controls, and of the reward in the trajectories of those reacting.
     slope_at_end = jnp.sum(slope_in_robot * path_change)
-    slope_at_end -= jnp.sum(jax.grad(objective.cost)(full_step) * change)
+    cost_slope = jax.grad(objective.cost)(full_step)
+    slope_at_end -= jnp.sum(cost_slope * change)
     _, paths_without_reactions = humans_after(jnp.zeros(()))
     path_reactions = paths_with_reactions - paths_without_reactions
     slope_at_end += jnp.sum(slopes_in_others * path_reactions)

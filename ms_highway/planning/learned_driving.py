@@ -67,7 +67,8 @@ def held_acceleration(
               - w closing_speed ((v_k - v_leader) / s)^2
               - patience comfort (a / (U / s^2))^2 / 2
 
-    This is ``constant + slope a - bend a^2 / 2``, whose top is at ``slope / bend``.
+    This is ``constant + slope a - concavity a^2 / 2``, whose top is at ``slope /
+    concavity``.
 
     Args:
         weights: of the reward, by name, at any common scale.
@@ -84,10 +85,10 @@ def held_acceleration(
     )
     closing = leader.speed - speed
 
-    # Comfort alone bends the reward whatever the traffic.
+    # Comfort alone makes the reward concave, whatever the traffic.
     times = HELD_CONTROL.times
     slope = 0.0 * speed  # a float, also for whole speeds
-    bend = len(times) * weights["comfort_acceleration"] * traits.patience / unit**2
+    concavity = len(times) * weights["comfort_acceleration"] * traits.patience / unit**2
     for time in times:
         # How far the gap exceeds the desired one without acceleration, and how much
         # less it does per acceleration.
@@ -105,9 +106,9 @@ def held_acceleration(
             2 * attention * weights["closing_speed"] * closing * time / desired_speed**2
         )
         of_speeds = weights["speed"] + attention * weights["closing_speed"]
-        bend += 2 * of_speeds * time**2 / desired_speed**2
-        bend += 2 * attention * weights["headway"] * per_acceleration**2 / unit**2
-    return xp.clip(slope / bend, -CAR_LIMITS.braking, CAR_LIMITS.acceleration)
+        concavity += 2 * of_speeds * time**2 / desired_speed**2
+        concavity += 2 * attention * weights["headway"] * per_acceleration**2 / unit**2
+    return xp.clip(slope / concavity, -CAR_LIMITS.braking, CAR_LIMITS.acceleration)
 
 
 def held_curvature(
@@ -137,7 +138,7 @@ def held_curvature(
     times = HELD_CONTROL.times
     comfort = len(times) * weights["comfort_steering"] / HELD_CONTROL.turn_scale**2
     slope = 0.0 * speed  # a float, also for whole speeds
-    bend = xp.full_like(speed, comfort)
+    concavity = xp.full_like(speed, comfort)
     for time in times:
         # Lateral position and heading per curvature.
         aside = (speed * time) ** 2 / 2
@@ -145,6 +146,6 @@ def held_curvature(
 
         slope -= 2 * alignment * (offset + speed * time * heading) * aside / unit**2
         slope -= straightness * heading * turned
-        bend += 2 * alignment * aside**2 / unit**2 + straightness * turned**2
+        concavity += 2 * alignment * aside**2 / unit**2 + straightness * turned**2
     most = HELD_CONTROL.max_curvature
-    return xp.clip(slope / bend, -most, most)
+    return xp.clip(slope / concavity, -most, most)

@@ -86,7 +86,8 @@ def manoeuvres(
         accelerations: to hold [m/s^2].
     """
     lanes = jnp.asarray(game.scene.lanes)
-    held = jnp.asarray(np.asarray(accelerations, np.float32))
+    single = np.asarray(accelerations, np.float32)
+    held = jnp.asarray(single)
     lane_of, acceleration_of = jnp.meshgrid(lanes, held, indexing="ij")
 
     def go_to(lane: Scalar, acceleration: Scalar) -> Manoeuvres:
@@ -129,7 +130,8 @@ def into_gaps(game: Game, car: Car, others: Motion) -> Manoeuvres:
         others: motion of all others after each step, arrays [others, steps].
     """
     length = jnp.asarray(game.scene.car_size)[0]
-    own_lane = _nearest(jnp.asarray(game.scene.lanes), car[1])
+    lanes = jnp.asarray(game.scene.lanes)
+    own_lane = _nearest(lanes, car[1])
 
     def go_into(gap: _Gap) -> Manoeuvres:
         def control_of(
@@ -156,7 +158,8 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
     speed = others.speed
 
     # Who leads each of the others in its lane now.
-    lane_of: jax.Array = jax.vmap(partial(_nearest, lanes))(others.y[:, 0])
+    nearest_lanes = jax.vmap(partial(_nearest, lanes))
+    lane_of: jax.Array = nearest_lanes(others.y[:, 0])
     same_lane = lane_of == lane_of[:, None]  # [others, others]
     ahead_by = x[:, 0] - x[:, :1]  # [others, others]
     leader, leads = nearest_ahead(ahead_by, same_lane)
@@ -169,8 +172,9 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
     is_taken = in_lane.any(axis=1)[:, None]
 
     # In an empty lane, both ends of the gap are where the car keeps its speed.
+    place, _, _, own_speed = car
     steps = jnp.arange(1, 1 + x.shape[1])
-    steady = car[0] + car[3] * game.dynamics.time_step * steps
+    steady = place + own_speed * game.dynamics.time_step * steps
 
     # The rear end of each gap: one of the others, or free road behind a last car.
     open_behind = x[last] - GAP_ENTRY.open_length * length
@@ -185,7 +189,7 @@ def _gaps(game: Game, car: Car, length: Scalar, others: Motion) -> _Gap:
 
     # Its speed: the mean of both ends, or that of its only end.
     ahead_speed = jnp.where(leads, speed[leader], speed)
-    last_speed = jnp.where(is_taken, speed[last], car[3])
+    last_speed = jnp.where(is_taken, speed[last], own_speed)
     mean_speed = (speed + ahead_speed) / 2
     gap_speed = jnp.concatenate([mean_speed, last_speed])
 

@@ -160,7 +160,8 @@ def best_start(game: Game, car: Car, usual: Controls, others: Trajectories) -> C
     paths = jnp.concatenate([usual_path[None], paths])
 
     # The best of them, with an advantage for the usual start.
-    earned = jnp.asarray(jax.vmap(objective.earned)(controls, paths))
+    earned_by_each = jax.vmap(objective.earned)
+    earned = jnp.asarray(earned_by_each(controls, paths))
     with_advantage = earned.at[0].add(RESTART.margin)
     return best_of(controls, with_advantage)
 

@@ -82,8 +82,8 @@ class AssignedResponders:
 
     Attributes:
         order: indices of all humans, sorted by their ``steps``, the largest first.
-        steps: human i responds in the first ``steps[i]`` steps of the ascent; 0 if it
-            does not respond.
+        steps: human i responds in the first ``steps[i]`` steps of the ascent; then its
+            plan stays, and its influence drops out. 0 if it does not respond.
         robot_steps: largest number of the robot's steps.
         step_sizes: step size of each human; None for the planner's.
         robot_size: step size of the robot; None for the planner's.

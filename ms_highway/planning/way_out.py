@@ -16,7 +16,7 @@ than every way after the control, the best escape replaces the control.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -30,9 +30,10 @@ from ms_highway.game.features import motion_reward
 from ms_highway.game.game import Game
 from ms_highway.game.scene import FAR_AWAY
 from ms_highway.planning.manoeuvres import manoeuvres
-from ms_highway.runtime.arrays import Car, Control, Controls, Flag, Scalar, State
+from ms_highway.runtime.arrays import Car, Control, Controls, Flag, State
 
-Ways = Float[jax.Array, "ways steps 4"]
+Way: TypeAlias = Float[jax.Array, "steps 4"]
+Ways: TypeAlias = Float[jax.Array, "ways steps 4"]
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
 
     Ways rank by the time of their first collision. Of ways that never collide, those
     that keep the clearance to cars and obstacles rank highest. Of escapes of the same
-    rank, the one with the highest reward is the best.
+    rank, the one with the highest reward is the best. A control stays if a way after it
+    ranks as high as the best escape: the filter interferes as little as it can.
 
     Escapes are searched for only where no way after the control has the highest rank;
     under `jax.vmap`, they are always computed, with the same result.
@@ -90,7 +92,8 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         state: all cars now.
         control: scaled, about to be executed.
     """
-    others = _within_road(game, coast(game.dynamics, state[1:], ESCAPE.steps))
+    coasting = coast(game.dynamics, state[1:], ESCAPE.steps)
+    others = _within_road(game, coasting)
     others_in_time = _only_first_steps(others, state[0])
 
     # The best rank of a way after the control.
@@ -106,14 +109,17 @@ def keep_way_out(game: Game, state: State, control: Control) -> Escape:
         ranks = _ranks(game, escapes, others_in_time)
 
         # Rewards only break ties, so that they may count all others until the end.
-        rewards = jax.vmap(lambda way: _total_reward(game, way, others))(escapes)
+        rewards = _total_rewards(game, escapes, others)
         is_highest = ranks == ranks.max()
-        best = jnp.argmax(jnp.where(is_highest, rewards, -jnp.inf))
+        comparable = jnp.where(is_highest, rewards, -jnp.inf)
+        best = jnp.argmax(comparable)
 
         # Cut the escape to the planner's horizon, or repeat its last control.
         steps = np.arange(game.planner.horizon)
         steps = np.minimum(steps, ESCAPE.steps - 1)
-        return Escape(controls[best][steps], ranks.max() > rank_after)
+        best_controls = controls[best][steps]
+        is_better = ranks.max() > rank_after
+        return Escape(best_controls, is_better)
 
     placeholder = jnp.tile(control, (game.planner.horizon, 1))
     unchanged = Escape(placeholder, jnp.zeros((), bool))
@@ -149,15 +155,19 @@ def _only_first_steps(others: Motion, robot: Car) -> Motion:
     return others._replace(x=x)
 
 
-def _total_reward(
+def _total_rewards(
     game: Game,
-    way: Float[jax.Array, "steps 4"],
+    ways: Ways,
     others: Motion,
-) -> Scalar:
-    """Return the robot's reward on a way, without that of its controls."""
-    own = observe(way)
-    rewards = motion_reward(game.scene, game.robot, own, others)
-    return jnp.sum(rewards)
+) -> Float[jax.Array, "ways"]:
+    """Return the robot's reward on each way, without that of its controls."""
+
+    def total(way: Way) -> jax.Array:
+        own = observe(way)
+        rewards = motion_reward(game.scene, game.robot, own, others)
+        return jnp.sum(rewards)
+
+    return jax.vmap(total)(ways)
 
 
 def _ways_after(game: Game, after: Car) -> Ways:
@@ -184,7 +194,7 @@ def _ranks(game: Game, ways: Ways, others: Motion) -> Int[jax.Array, "ways"]:
         others: motion of all others, arrays [others, steps].
     """
 
-    def rank(way: Float[jax.Array, "steps 4"]) -> jax.Array:
+    def rank(way: Way) -> jax.Array:
         own = observe(way)
         is_free = ~touches(game.scene, own, others)
         is_clear = ~touches(game.scene, own, others, ESCAPE.clearance)

@@ -14,9 +14,9 @@ from ms_highway.planning.compiled_plans import (
     assigned_responders,
     checked_state,
 )
+from ms_highway.planning.influence import mixed_hessian, trajectories_around
 from ms_highway.planning.ladders import PACKAGE_MODELS, ladder
 from ms_highway.planning.plans import cold_start
-from ms_highway.planning.responses import mixed_hessian, trajectories_around
 from ms_highway.runtime.compilation import jit_quickly
 
 LADDER = (*ladder(PACKAGE_MODELS), Brakes(3.0))
