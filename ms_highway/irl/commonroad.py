@@ -23,14 +23,14 @@ TrackIdentity = tuple[str, int, float, float]
 
 
 def read_directory(directory: Path, first: int | None = None) -> list[Recording]:
-    """Read the CommonRoad scenarios of a directory, files ``*.xml`` and ``*.xml.gz``,
-    in the order of their names.
+    """Read the CommonRoad scenarios of a directory, in the order of their names.
 
-    Every vehicle that drives in lanes is a driver, unless it was seen only once or with
-    a gap, or drives against the road; all other road users are only neighbours. Files
-    cut from one recording, such as ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``,
-    form a group and may share tracks: a track is a driver in the first file that has
-    it, and only a neighbour in the others.
+    Files are ``*.xml`` and ``*.xml.gz``. Every vehicle that drives in lanes is a
+    driver, unless it was seen only once or with a gap, or drives against the road; all
+    other road users are only neighbours. Files cut from one recording, such as
+    ``USA_US101-10_4_T-1`` and ``USA_US101-10_5_T-1``, form a group and may share
+    tracks: a track is a driver in the first file that has it, and only a neighbour in
+    the others.
 
     Args:
         directory: of the files.
@@ -52,8 +52,9 @@ def read_directory(directory: Path, first: int | None = None) -> list[Recording]
 
 
 def _convert(scenario: TrafficRecording, counted: set[TrackIdentity]) -> Recording:
-    """Convert a scenario to a recording; add its drivers to those that earlier files
-    have counted.
+    """Convert a scenario to a recording.
+
+    Its drivers are added to those that earlier files have counted.
     """
     road = straight_road(scenario)
     parallel = _parallel_lanes(road.lines)
@@ -116,8 +117,9 @@ def _lane_states(
     for car, track in enumerate(tracks):
         steps, _, _, orientation, speed = track.samples.T
         x, y = axes.positions(track.samples[:, 1:3]).T
-        along, offset, heading = curve.project(x, y, axes.headings(orientation))
-        of_track = np.stack([along, offset, heading, speed], axis=-1)
+        heading = axes.headings(orientation)
+        along, offset, relative_heading = curve.project(x, y, heading)
+        of_track = np.stack([along, offset, relative_heading, speed], axis=-1)
         states[steps.astype(int), car] = of_track
     return states
 
@@ -139,21 +141,27 @@ def _parallel_lanes(lines: list[Points]) -> ParallelLanes:
 
     The road is the largest set of parallel lines: a ramp is parallel only to itself.
     """
+    # How far each line is to the right of each curve [curves, lines].
     curves = [next(smooth_curves(line)) for line in lines]
-    offsets = np.array([[_offset(curve, line) for line in lines] for curve in curves])
+    rows = []
+    for curve in curves:
+        rows.append([_offset(curve, line) for line in lines])
+    offsets = np.array(rows)
+
+    # The curve with the most parallel lines, and the leftmost one of these.
     numbers_of_parallels = np.isfinite(offsets).sum(axis=1)
-    leftmost = int(np.nanargmin(offsets[numbers_of_parallels.argmax()]))
+    from_most = offsets[numbers_of_parallels.argmax()]
+    leftmost = int(np.nanargmin(from_most))
     lanes = np.sort(offsets[leftmost])
     return ParallelLanes(curves[leftmost], lanes[np.isfinite(lanes)])
 
 
 def _offset(curve: Curve, line: Points) -> float:
-    """Return the median distance of a line to the right of a curve [m]; NaN if it is
-    not parallel, or goes back.
+    """Return the median distance of a line to the right of a curve [m].
 
-    A line may be much shorter than the curve. A ramp that approaches is not parallel:
-    in recording 10 of US-101, it comes from 40 m away, and nobody drives at its median
-    offset of 23 m.
+    It is NaN if the line is not parallel, or goes back. A line may be much shorter than
+    the curve. A ramp that approaches is not parallel: in recording 10 of US-101, it
+    comes from 40 m away, and nobody drives at its median offset of 23 m.
     """
     largest_spread = 0.5  # m, median deviation from the median of parallel lines
     along, offset = curve.locate(line)

@@ -61,6 +61,7 @@ def robust_errors(
     predicted = paths[..., HORIZONS.steps, :, :]
     recorded = future[..., HORIZONS.steps, :, :2]
     known = jnp.isfinite(recorded).all(axis=-1) & chosen
-    errors = jnp.where(known[..., None], predicted - jnp.nan_to_num(recorded), 0.0)
+    differences = predicted - jnp.nan_to_num(recorded)
+    errors = jnp.where(known[..., None], differences, 0.0)
     scaled = errors / HORIZONS.scales[:, None]
     return jnp.sqrt(1 + scaled**2) - 1, known

@@ -200,17 +200,13 @@ def _held_out(
     if len(groups) < DRIVER_FIT.folds:
         return [(snapshots, drivers)]
     fold = np.searchsorted(groups, snapshots.group) % DRIVER_FIT.folds
-    of_others = []
+    iterations = DRIVER_FIT.refit_iterations
+    held_out = []
     for number in range(DRIVER_FIT.folds):
         others = snapshots.only(fold != number)
-        _, fitted = _fit_drivers(
-            others, progress, logarithms, DRIVER_FIT.refit_iterations
-        )
-        of_others.append(fitted)
-    return [
-        (snapshots.of(fold == number), fitted)
-        for number, fitted in enumerate(of_others)
-    ]
+        _, fitted = _fit_drivers(others, progress, logarithms, iterations)
+        held_out.append((snapshots.of(fold == number), fitted))
+    return held_out
 
 
 def _fit_drivers(
@@ -257,10 +253,9 @@ def _fit_drivers(
 def _drivers_of(logarithms: Parameters) -> Drivers:
     """Return the drivers with these logarithms, who keep their lanes."""
     xp = namespace(logarithms)
-    ends = [
-        len(DRIVER_PRIOR.weights),
-        len(DRIVER_PRIOR.weights) + len(DRIVER_PRIOR.traits),
-    ]
+    end_of_weights = len(DRIVER_PRIOR.weights)
+    end_of_traits = end_of_weights + len(DRIVER_PRIOR.traits)
+    ends = [end_of_weights, end_of_traits]
     weights, traits, factors = xp.split(xp.exp(logarithms), ends)
     headway, *deviations, noise = traits
     one = xp.ones_like(headway)  # median share of the speed limit, and patience
@@ -282,8 +277,10 @@ def _label(snapshot: Snapshots) -> tuple[CarFlags, CarNumbers]:
     y = jnp.concatenate([snapshot.past[-1:], snapshot.future])[..., 1]  # [times, cars]
     seen = jnp.isfinite(y[1:]).sum(axis=0)
     last = jnp.take_along_axis(y, seen[None], axis=0)[0]
-    side = lane_indices(snapshot.lanes, last) - lane_indices(snapshot.lanes, y[0])
-    is_known = (seen >= DRIVER_FIT.min_steps) & (jnp.abs(side) <= 1)
+    last_lane = lane_indices(snapshot.lanes, last)
+    side = last_lane - lane_indices(snapshot.lanes, y[0])
+    is_beside = jnp.abs(side) <= 1
+    is_known = (seen >= DRIVER_FIT.min_steps) & is_beside
     learned_from = snapshot.predicted & is_known
     return learned_from, side * learned_from
 
@@ -333,9 +330,13 @@ def _deviations(logarithms: Parameters, snapshots: Snapshots) -> list[float]:
     def slope(logarithms: Parameters) -> jax.Array:
         return _mean_error(logarithms, data)[1]
 
+    # The inverse of the Hessian, with the prior.
     hessian = slope_differences(slope, logarithms, DRIVER_FIT.difference)
+    symmetric = (hessian + hessian.T) / 2
     prior = np.diag(1 / DRIVER_PRIOR.deviations**2) / learned_from.sum()
-    inverse = np.linalg.pinv((hessian + hessian.T) / 2 + prior, hermitian=True)
+    inverse = np.linalg.pinv(symmetric + prior, hermitian=True)
+
+    # The scores of each driver.
     scores = np.asarray(_scores(logarithms, data), dtype=float)[learned_from]
     tracks = np.asarray(snapshots.track)[learned_from]
     covariance = grouped_covariance(inverse, scores, tracks)
@@ -353,9 +354,12 @@ def _fit_intention(snapshots: Snapshots) -> Intention:
 
     def loss(numbers: Parameters) -> float:
         """Return minus the log posterior, given the biases and the weights."""
-        odds = np.where(exist, numbers[:2] + advantages @ numbers[2:], -np.inf)
+        biases = numbers[:2]
+        weights = numbers[2:]
+        odds = np.where(exist, biases + advantages @ weights, -np.inf)
         odds = np.pad(odds, ((0, 0), (1, 0)))  # of keeping the lane: 0
-        log_likelihoods = odds[drivers, mode] - special.logsumexp(odds, axis=1)
+        totals = special.logsumexp(odds, axis=1)
+        log_likelihoods = odds[drivers, mode] - totals
         prior = numbers @ numbers / (2 * DRIVER_PRIOR.odds_deviation**2)
         return float(prior - log_likelihoods.sum())
 

@@ -106,9 +106,8 @@ def _cut(numbered_recording: NumberedRecording, steps: int) -> Iterator[Segments
 
             # The neighbours at the start, and their paths; free places are far behind.
             is_other = recording.seen[now] & (cars != driver)
-            neighbours, taken = places(
-                start, states[now], is_other, recording.lane_width
-            )
+            width = recording.lane_width
+            neighbours, taken = places(start, states[now], is_other, width)
             after = states[now + 1 : now + steps + 1, neighbours]
             paths = np.moveaxis(after, 0, 1)  # [neighbours, steps, 4]
             others = np.where(taken[:, None, None], paths, far_behind(start))
@@ -148,11 +147,14 @@ def regular(segments: Segments) -> Flags:
     saturation = 0.8  # share of the limits of plans from which controls are near them
 
     paths = rollout(PAPER_DYNAMICS, segments.start, segments.controls)
-    depths = jax.vmap(partial(depth_off_road, smooth=False))(segments.scenes, paths)
-    at_kink = ((depths > 0) & (jnp.abs(paths.sine) < kink_sine)).any(axis=1)
+    depth_of_each = jax.vmap(partial(depth_off_road, smooth=False))
+    depths = depth_of_each(segments.scenes, paths)  # [n, steps]
+    points_along = jnp.abs(paths.sine) < kink_sine
+    at_kink = ((depths > 0) & points_along).any(axis=1)
 
     limits = saturation * np.array(PHYSICAL_LIMIT)
-    saturated = (np.abs(segments.controls) > limits).any(axis=(1, 2))
+    is_large = np.abs(segments.controls) > limits
+    saturated = is_large.any(axis=(1, 2))
     return ~np.asarray(at_kink) & ~saturated
 
 
@@ -200,5 +202,6 @@ def summed_features(
     features = jnp.stack(motion_features(here.scene, here.robot, path, others))
 
     keeping = keep_velocity(game.dynamics, start) / game.planner.control_scale
-    comfort = -jnp.sum((controls - keeping) ** 2, axis=0) / 2
+    squares = (controls - keeping) ** 2
+    comfort = -jnp.sum(squares, axis=0) / 2
     return jnp.concatenate([features.sum(axis=1), comfort])

@@ -75,11 +75,10 @@ def usable_recordings(
         ValueError: if no driver is left.
     """
     with_usable = [usable(recording) for recording in recordings]
-    left_out = {
-        f"{label} of {recording.name}": reason
-        for recording in with_usable
-        for label, reason in recording.left_out.items()
-    }
+    left_out = {}
+    for recording in with_usable:
+        for label, reason in recording.left_out.items():
+            left_out[f"{label} of {recording.name}"] = reason
     reasons = listed([f"{label}, which {why}" for label, why in left_out.items()])
     if not any(len(recording.drivers) for recording in with_usable):
         but = f" but {reasons}" if reasons else ""
@@ -103,7 +102,8 @@ def _why_unusable(states: States, measured: bool) -> str:
     positions = states[:, :2]
     seconds = TIME_STEP * (len(states) - 1)
     extent = np.ptp(positions, axis=0).max()
-    if extent < USABLE.standing_extent and extent < USABLE.standing_speed * seconds:
+    slow_extent = USABLE.standing_speed * seconds
+    if extent < USABLE.standing_extent and extent < slow_extent:
         return "only stands"
     if not measured:
         return ""
@@ -133,12 +133,15 @@ def _duplicates(recording: Recording) -> Iterator[tuple[int, int]]:
 
         # The largest distance in x or y whenever both are seen.
         times = seen[:, first]
-        offsets = positions[times][:, others] - positions[times, first][:, None]
+        own_positions = positions[times, first]
+        offsets = positions[times][:, others] - own_positions[:, None]
         distances = np.abs(offsets).max(axis=-1)  # [times, others]
         both_seen = np.isfinite(distances)
         farthest = np.max(distances, axis=0, where=both_seen, initial=0.0)
 
-        is_same = (both_seen.sum(axis=0) > 1) & (farthest < USABLE.same_place)
-        for second in np.array(others, dtype=int)[is_same]:
+        is_near = farthest < USABLE.same_place
+        is_same = (both_seen.sum(axis=0) > 1) & is_near
+        other_cars = np.array(others, dtype=int)
+        for second in other_cars[is_same]:
             yield int(first), int(second)
-        remaining = [car for car, same in zip(others, is_same, strict=True) if not same]
+        remaining = other_cars[~is_same].tolist()

@@ -71,17 +71,20 @@ class Axes(NamedTuple):
         Their origin is in its middle, at whole metres.
         """
         lines = [lanelet.centre for lanelet in lanelets]
-        along = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        along_x, along_y = np.sum([line[-1] - line[0] for line in lines], axis=0)
+        turn = float(np.arctan2(along_y, along_x))
         middle = np.concatenate(lines).mean(axis=0)
-        return cls(np.round(middle), float(np.arctan2(along[1], along[0])))
+        return cls(np.round(middle), turn)
 
     def positions(self, points: ArrayLike) -> Points:
         """Return points of the map in highway-env's axes."""
-        return (np.asarray(points, dtype=float) - self.origin) @ self._mirror
+        from_origin = np.asarray(points, dtype=float) - self.origin
+        return from_origin @ self._mirror
 
     def points(self, positions: ArrayLike) -> Points:
         """Return positions of highway-env in the map."""
-        return np.asarray(positions, dtype=float) @ self._mirror.T + self.origin
+        from_origin = np.asarray(positions, dtype=float) @ self._mirror.T
+        return from_origin + self.origin
 
     def headings(self, orientations: ArrayLike) -> Numbers:
         """Convert orientations in the map to highway-env's headings, or back [rad]."""
@@ -134,7 +137,8 @@ class SampledLane(AbstractLane):
 
     def position(self, longitudinal: float, lateral: float) -> np.ndarray:
         """Return the position at lane coordinates [m]."""
-        return np.array(self.curve.place(longitudinal, lateral)[:2])
+        x, y, _ = self.curve.place(longitudinal, lateral)
+        return np.array([x, y])
 
     def heading_at(self, longitudinal: float) -> float:
         """Return the heading at a place [rad]."""
@@ -165,8 +169,9 @@ class LaneletNetwork(RoadNetwork):
     def _samples(self) -> tuple[Points, Int[np.ndarray, "lanes"]]:
         """Centres of all lanes in a row, and the index of the first of each lane."""
         centres = [lane.centres for lane in self.lanes_list()]
-        numbers = [len(line) for line in centres[:-1]]
-        return np.concatenate(centres), np.cumsum([0, *numbers])
+        lengths = [len(line) for line in centres[:-1]]
+        firsts = np.cumsum([0, *lengths])
+        return np.concatenate(centres), firsts
 
     def get_closest_lane_index(
         self,
@@ -175,14 +180,16 @@ class LaneletNetwork(RoadNetwork):
     ) -> LaneIndex:
         """Return the index of the lane that is nearest in position and heading."""
         samples, firsts = self._samples
-        x, y = (samples - position).T
-        distances = np.minimum.reduceat(np.hypot(x, y), firsts)  # [lanes]
+        dx, dy = (samples - position).T
+        to_samples = np.hypot(dx, dy)
+        distances = np.minimum.reduceat(to_samples, firsts)  # [lanes]
         may_be_closest = distances < distances.min() + self.heading_allowance
 
         def exact_distance(index: LaneIndex) -> float:
             return self.get_lane(index).distance_with_heading(position, heading)
 
-        return min(compress(self.lanes_dict(), may_be_closest), key=exact_distance)
+        candidates = compress(self.lanes_dict(), may_be_closest)
+        return min(candidates, key=exact_distance)
 
 
 def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
@@ -204,11 +211,14 @@ def network_of(lanelets: Sequence[Lanelet], axes: Axes) -> RoadNetwork:
                 " is not beside it; such roads cannot be driven here"
             )
         for lanelet in road:
-            edges = (
-                LineType.CONTINUOUS_LINE if lanelet is road[0] else LineType.STRIPED,
-                LineType.CONTINUOUS_LINE if lanelet is road[-1] else LineType.NONE,
-            )
-            network.add_lane(start, end, _lane(lanelet, by_number, axes, edges))
+            left = LineType.STRIPED
+            right = LineType.NONE
+            if lanelet is road[0]:
+                left = LineType.CONTINUOUS_LINE
+            if lanelet is road[-1]:
+                right = LineType.CONTINUOUS_LINE
+            lane = _lane(lanelet, by_number, axes, (left, right))
+            network.add_lane(start, end, lane)
     return network
 
 
@@ -255,14 +265,17 @@ def _nodes(roads: Sequence[list[Lanelet]]) -> list[list[str]]:
 
     Roads whose lanelets meet share a node.
     """
-    road_of = {
-        lanelet.number: number for number, road in enumerate(roads) for lanelet in road
-    }
+    road_of = {}  # index of each lanelet's road
+    for index, road in enumerate(roads):
+        for lanelet in road:
+            road_of[lanelet.number] = index
+
     nodes = np.arange(2 * len(roads)).reshape(-1, 2)  # start and end of each road
     for lanelet in chain(*roads):
+        _, end = nodes[road_of[lanelet.number]]
         for after in road_of.keys() & set(lanelet.after):
-            start_after = nodes[road_of[after], 0]
-            nodes[nodes == start_after] = nodes[road_of[lanelet.number], 1]
+            start_after, _ = nodes[road_of[after]]
+            nodes[nodes == start_after] = end
     return nodes.astype(str).tolist()
 
 
@@ -285,20 +298,21 @@ def _lane(
     Raises:
         ValueError: if every smooth lane is too far from the centre.
     """
+    # The centre, with parts of the lanelets before and after it.
     centre = lanelet.centre
-    before = [
-        _last_part(by_number[number].centre)
-        for number in lanelet.before[:1]
-        if number in by_number
-    ]
-    after = [
-        _last_part(by_number[number].centre[::-1])[::-1]
-        for number in lanelet.after[:1]
-        if number in by_number
-    ]
-    with_neighbours = np.concatenate([*before, centre, *after])
-    even_centre = axes.positions(resample(centre.T, LANE_SMOOTHING.lane_spacing).T)
+    lines = [centre]
+    for number in lanelet.before[:1]:
+        if number in by_number:
+            lines.insert(0, _last_part(by_number[number].centre))
+    for number in lanelet.after[:1]:
+        if number in by_number:
+            backwards = by_number[number].centre[::-1]
+            lines.append(_last_part(backwards)[::-1])
+    with_neighbours = np.concatenate(lines)
 
+    # The first curve that is near the centre.
+    even_points = resample(centre.T, LANE_SMOOTHING.lane_spacing).T
+    even_centre = axes.positions(even_points)
     deviation = np.inf
     for curve in chain(smooth_curves(with_neighbours), smooth_curves(centre)):
         lane = _lane_along(curve, lanelet, axes, edges)
@@ -320,14 +334,16 @@ def _lane_along(
     """Return the lane of a lanelet along a curve of the map."""
     # Even places on the part of the curve that belongs to the lanelet.
     along, _ = curve.locate(lanelet.centre)
-    number = max(round((along[-1] - along[0]) / LANE_SMOOTHING.lane_spacing), 2) + 1
-    places = np.linspace(along[0], along[-1], number)
+    length = along[-1] - along[0]
+    parts = max(round(length / LANE_SMOOTHING.lane_spacing), 2)
+    places = np.linspace(along[0], along[-1], parts + 1)
 
     # The lane's middle and width at these places.
     x, y, _ = curve.place(places, 0.0)
     middle = axes.positions(np.stack([x, y], axis=-1))
     recorded_widths = np.linalg.norm(lanelet.left - lanelet.right, axis=-1)
-    widths = np.interp(places, np.maximum.accumulate(along), recorded_widths)
+    ascending = np.maximum.accumulate(along)
+    widths = np.interp(places, ascending, recorded_widths)
     limit = lanelet.limit or TrafficRecording.default_speed_limit
     return SampledLane(middle, widths, edges, limit)
 
@@ -335,7 +351,9 @@ def _lane_along(
 def _deviation(line: Points, lane: SampledLane) -> float:
     """Return how far a line is at most from a lane's middle or beyond its ends [m]."""
     along, offset = lane.curve.locate(line)
-    return max(np.abs(offset).max(), -along.min(), along.max() - lane.length)
+    before_start = -along.min()
+    beyond_end = along.max() - lane.length
+    return max(np.abs(offset).max(), before_start, beyond_end)
 
 
 def smooth_curves(line: Points) -> Iterator[Curve]:
@@ -349,7 +367,8 @@ def smooth_curves(line: Points) -> Iterator[Curve]:
         spacing = scale / 2
         number = max(round(length / spacing) + 1, LANE_SMOOTHING.min_points)
         even = np.linspace(0, length, number)
-        points = np.stack([np.interp(even, distance, part) for part in line.T], axis=-1)
+        fields = [np.interp(even, distance, field) for field in line.T]
+        points = np.stack(fields, axis=-1)
         spline = make_smoothing_spline(even, points, lam=scale**4 / spacing)
 
         # A curve through evenly spaced points of the spline.

@@ -95,7 +95,8 @@ def _problem_of_vehicle(scenario: TrafficRecording, ego: int) -> Problem:
     _, *start = track.samples[0].tolist()
     _, x, y, orientation, _ = track.samples[-1].tolist()
     times = (track.first, track.last + EGO.extra_steps)
-    goal = GoalRegion(times, rect_corners((x, y), *EGO.goal_size, orientation))
+    corners = rect_corners((x, y), *EGO.goal_size, orientation)
+    goal = GoalRegion(times, corners)
     return Problem(ego, tuple(start), track.first, (goal,), track.size, ego)
 
 
@@ -119,9 +120,12 @@ def _recorded_as(scenario: TrafficRecording, problem: Problem) -> int | None:
     for track, pose in _seen(scenario, problem.time):
         own_inside = separation(own, point, pose, track.size) < 0
         other_inside = separation(own, problem.size, pose, point) < 0
-        same_way = abs(float(wrapped(pose[2] - own[2]))) <= EGO.largest_turn
+        turn = abs(float(wrapped(pose[2] - own[2])))
+        same_way = turn <= EGO.largest_turn
         if track.drives and same_way and (own_inside or other_inside):
-            distances[track.number] = np.hypot(pose[0] - own[0], pose[1] - own[1])
+            dx = pose[0] - own[0]
+            dy = pose[1] - own[1]
+            distances[track.number] = np.hypot(dx, dy)
     return min(distances, key=lambda number: distances[number], default=None)
 
 
@@ -166,9 +170,9 @@ def timed_goal(problem: Problem, road: StraightRoad) -> TimedGoal | None:
             heading = float(road.axes.headings(goal.middle_heading))
         index = road.network.get_closest_lane_index(position, heading)
         place, _ = road.network.get_lane(index).local_coordinates(position)
-        first, last = (
-            max(TIME_STEP * (step - problem.time), 0.0) for step in goal.times
-        )
+        first_step, last_step = goal.times
+        first = max(TIME_STEP * (first_step - problem.time), 0.0)
+        last = max(TIME_STEP * (last_step - problem.time), 0.0)
         speeds = goal.speeds or (0.0, np.inf)
         return TimedGoal(Spot(index, place), position, (first, last), speeds)
     return None

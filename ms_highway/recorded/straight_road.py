@@ -16,7 +16,7 @@ class LanePlace(NamedTuple):
     """Where a lane is on the straight road.
 
     Attributes:
-        row: number of the lane, counted to the right from any lane.
+        row: index of the lane's row, counted to the right from any lane.
         start: x where the lane begins [m].
     """
 
@@ -72,11 +72,12 @@ class StraightRoad:
         for row in rows:
             row_widths[row] = np.median(widths[rows == row])
 
-        y = np.cumsum(row_widths) - (row_widths + row_widths[0]) / 2
-        self.centres = {
-            lane.index: float(y[row])
-            for lane, row in zip(self._lanes, rows, strict=True)
-        }
+        # The centre of each row, from the leftmost one.
+        right_edges = np.cumsum(row_widths)
+        y = right_edges - (row_widths + row_widths[0]) / 2
+        self.centres = {}
+        for lane, row in zip(self._lanes, rows, strict=True):
+            self.centres[lane.index] = float(y[row])
 
     def __deepcopy__(self, memo: object) -> "StraightRoad":
         return self  # it never changes: copies of environments share it
@@ -84,24 +85,27 @@ class StraightRoad:
     def states(self, states: State) -> State:
         """Convert states in highway-env's axes, each by the nearest lane."""
         x, y, heading, speeds = states.T
-        poses = np.array(
-            [lane.shape.curve.project(x, y, heading) for lane in self._lanes]
-        )  # [lanes, (along, offset, heading), states]
+        projected = [lane.shape.curve.project(x, y, heading) for lane in self._lanes]
+        poses = np.array(projected)  # [lanes, (along, offset, heading), states]
 
         # The nearest lane, in position and heading as highway-env measures it.
         along, offset, heading = poses.swapaxes(0, 1)  # [lanes, states] each
         lengths = np.array([[lane.length] for lane in self._lanes])
-        beyond_ends = np.maximum(along - lengths, 0.0) + np.maximum(-along, 0.0)
+        beyond_end = np.maximum(along - lengths, 0.0)
+        before_start = np.maximum(-along, 0.0)
+        beyond_ends = beyond_end + before_start
         distances = np.abs(offset) + beyond_ends + np.abs(heading)
         nearest = distances.argmin(axis=0)
-        lanes = [self._lanes[number] for number in nearest]
+        lanes = [self._lanes[index] for index in nearest]
 
         # The place on the straight road: along a lane, x grows by its road's length.
-        along, offset, heading = poses[nearest, :, np.arange(len(states))].T
+        pose_on_nearest = poses[nearest, :, np.arange(len(states))]  # [states, 3]
+        along, offset, heading = pose_on_nearest.T
         scales = [_mean_length(lane) / lane.length for lane in lanes]
-        x = self._starts[nearest] + along * scales
-        y = offset + [self.centres[lane.index] for lane in lanes]
-        return np.stack([x, y, heading, speeds], axis=-1)
+        centres = [self.centres[lane.index] for lane in lanes]
+        straight_x = self._starts[nearest] + along * scales
+        straight_y = offset + centres
+        return np.stack([straight_x, straight_y, heading, speeds], axis=-1)
 
     @property
     def lines(self) -> list[Points]:
@@ -111,7 +115,8 @@ class StraightRoad:
         lines = []
         for y in sorted(set(self.centres.values())):
             in_row = [lane for lane in lanes if self.centres[lane.index] == y]
-            lines.append(np.concatenate([lane.shape.centres for lane in in_row]))
+            middles = [lane.shape.centres for lane in in_row]
+            lines.append(np.concatenate(middles))
         return lines
 
     def states_of_track(self, track: RecordedTrack) -> State:
@@ -126,13 +131,13 @@ class StraightRoad:
         on_road = np.zeros(len(points), bool)
         for lane in self._lanes:
             along, offset = lane.shape.curve.locate(points)
-            first = 0.0 if lane.preceding else -self.continuation
-            last = lane.length + (0.0 if lane.following() else self.continuation)
+            before = 0.0 if lane.preceding else self.continuation
+            after = 0.0 if lane.following() else self.continuation
+            is_along = (-before <= along) & (along <= lane.length + after)
             widths = lane.shape.curve.interpolate(lane.shape.widths, along)
             half_widths = widths / 2 + self.edge_tolerance
-            on_road |= (
-                (first <= along) & (along <= last) & (np.abs(offset) <= half_widths)
-            )
+            is_within = np.abs(offset) <= half_widths
+            on_road |= is_along & is_within
         return bool(on_road.all())
 
 

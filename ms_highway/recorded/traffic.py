@@ -205,10 +205,9 @@ class RecordedRoad(Road):
         distances = x - self.states[vehicle][0]
         ahead, is_ahead = nearest_ahead(distances, in_lane)
         behind, is_behind = nearest_ahead(-distances, in_lane)
-        return (
-            vehicles[ahead] if is_ahead else None,
-            vehicles[behind] if is_behind else None,
-        )
+        vehicle_ahead = vehicles[ahead] if is_ahead else None
+        vehicle_behind = vehicles[behind] if is_behind else None
+        return vehicle_ahead, vehicle_behind
 
     def step(self, dt: float) -> None:
         """Move all vehicles for ``dt`` seconds, and let vehicles enter and leave."""
@@ -243,13 +242,11 @@ class RecordedRoad(Road):
         Replayed vehicles enter even where another vehicle is, and so do all vehicles at
         the beginning.
         """
+        is_beginning = self.now == self.begin
         for track in self.waiting:
             vehicle = self._vehicle_of(track)
-            if (
-                self.now == self.begin
-                or isinstance(vehicle, ReplayedVehicle)
-                or self._has_room(vehicle)
-            ):
+            needs_no_room = is_beginning or isinstance(vehicle, ReplayedVehicle)
+            if needs_no_room or self._has_room(vehicle):
                 self.vehicles.append(vehicle)
                 self.coming.remove(track)
 
@@ -290,10 +287,9 @@ class RecordedRoad(Road):
         if isinstance(vehicle, ReplayedVehicle):
             return vehicle.track.last < self.now
         place, _ = vehicle.lane.local_coordinates(vehicle.position)
-        return (
-            place > vehicle.lane.length + self.exit_distance
-            and not self.network.graph.get(vehicle.lane_index[1])
-        )
+        exit_place = vehicle.lane.length + self.exit_distance
+        end = vehicle.lane_index[1]
+        return place > exit_place and not self.network.graph.get(end)
 
 
 def set_size(item: RoadObject, size: tuple[float, float]) -> None:
