@@ -96,7 +96,8 @@ class Commuter:
     def earned(self, scaled: Vector) -> Scalar:
         """Return the sum of rewards, less the discomfort of accelerations."""
         discomfort = self._comfort * jnp.sum(scaled**2) / 2
-        return jnp.sum(self.rewards(self.move(scaled))) - discomfort
+        rewards = self.rewards(self.move(scaled))
+        return jnp.sum(rewards) - discomfort
 
     def rewards(self, motion: jax.Array) -> Steps:
         """Return the reward after each step.
@@ -141,16 +142,21 @@ class Commuter:
         """
 
         def best(candidates: Steps) -> Vector:
+            """Return the candidate that earns most within the limits."""
             possible = jax.vmap(self.limited)(candidates)
-            return best_of(possible, jnp.asarray(jax.vmap(self.earned)(possible)))
+            earned = jnp.asarray(jax.vmap(self.earned)(possible))
+            return best_of(possible, earned)
 
         def improve(_: Index, scaled: Vector) -> Vector:
+            """Return the best point along a damped Newton step."""
             gradient, hessian = self.expand(scaled)
             newton_step = damped_solve(hessian, gradient)
-            return best(scaled + DAMPED_STEPS.shares[:, None] * newton_step)
+            candidates = scaled + DAMPED_STEPS.shares[:, None] * newton_step
+            return best(candidates)
 
         starts = RESPONSES.starts
-        first = best(jnp.broadcast_to(starts, (len(starts), self.planning.steps)))
+        steady = jnp.broadcast_to(starts, (len(starts), self.planning.steps))
+        first = best(steady)
         return jax.lax.fori_loop(0, RESPONSES.newton_steps, improve, first)
 
     def limited(self, scaled: Vector) -> Vector:
@@ -159,18 +165,21 @@ class Commuter:
         With unlimited speeds c_k, the speed that never falls below zero is ``c_k -
         min(0, c_1, ..., c_k)``.
         """
-        _, unlimited = self.move(jnp.clip(scaled, *RESPONSES.range))
-        speed = unlimited - jnp.minimum(jax.lax.cummin(unlimited), 0.0)
+        within_range = jnp.clip(scaled, *RESPONSES.range)
+        _, unlimited = self.move(within_range)
+        lowest_so_far = jax.lax.cummin(unlimited)
+        speed = unlimited - jnp.minimum(lowest_so_far, 0.0)
         change = speed - earlier(self.state[3], speed)
         return change / (self.planning.time_step * RESPONSES.acceleration_unit)
 
     def move(self, scaled: Vector) -> jax.Array:
         """Return s and speed after each step [2, steps]."""
         s, _, _, speed = self.state
-        at_constant_speed = jnp.stack(
-            [s + speed * self.planning.times, jnp.full_like(scaled, speed)]
-        )
-        return at_constant_speed + jnp.sum(self._effects * scaled, axis=-1)
+        s_at_constant_speed = s + speed * self.planning.times
+        constant_speed = jnp.full_like(scaled, speed)
+        unaccelerated = jnp.stack([s_at_constant_speed, constant_speed])
+        by_accelerations = jnp.sum(self._effects * scaled, axis=-1)
+        return unaccelerated + by_accelerations
 
     @property
     def lateral_position(self) -> jax.Array:
@@ -186,7 +195,8 @@ class Commuter:
         age = steps[:, None] - steps  # of each acceleration at each step
         acts = jnp.asarray(age >= 0, jnp.float32)
         on_speed = acts * (dt * RESPONSES.acceleration_unit)
-        return jnp.stack([on_speed * (age + 0.5) * dt, on_speed])
+        on_s = on_speed * (age + 0.5) * dt
+        return jnp.stack([on_s, on_speed])
 
     @property
     def _comfort(self) -> Scalar:
@@ -198,57 +208,58 @@ class Commuter:
 def commuter_among(
     scene: RoadScene,
     planning: RoadPlanning,
-    i: Index,
+    path_index: Index,
     robot: World,
     others: World,
 ) -> Commuter:
-    """Return other car i as a commuter among the robot and the nearest others.
+    """Return another car as a commuter among the robot and the nearest others.
 
     Args:
         scene: the road.
         planning: time step and number of steps.
-        i: number of the other car's path.
+        path_index: of the other car.
         robot: trajectory of the robot's centre.
         others: predicted trajectories of all traffic; the car itself, its other paths
             and absent cars are ignored.
     """
     path, state, size, limit = jax.tree.map(
-        lambda field: jnp.asarray(field)[i],
+        lambda field: jnp.asarray(field)[path_index],
         (scene.paths, scene.states, scene.sizes, scene.limits),
     )
 
-    # The robot and the others along the car's path; the robot comes first. Who does not
-    # count is far behind.
-    trajectories = jnp.concatenate([robot[None], others])
+    # The robot and the others along the car's path; the robot comes first.
+    trajectories = jnp.concatenate([robot[None], others])  # [cars, 4, steps]
     x, y, heading, speed = jnp.moveaxis(trajectories, 1, 0)
     s, d, relative_heading = path.project(x, y, heading)
     cosine = jnp.cos(relative_heading)
-    is_other = scene.present & (scene.owners != scene.owners[i])
+    sine = jnp.sin(relative_heading)
+
+    # Cars that do not count are far behind.
+    is_other = scene.present & (scene.owners != scene.owners[path_index])
     counts = jnp.append(True, is_other)
-    motion = Motion(
-        jnp.where(counts[:, None], s, s - FAR_AWAY),
-        d,
-        cosine,
-        jnp.sin(relative_heading),
-        speed * cosine,
-    )
+    counted_s = jnp.where(counts[:, None], s, s - FAR_AWAY)
+    motion = Motion(counted_s, d, cosine, sine, speed * cosine)
     road = Scene(jnp.zeros(1), planning.lane_width, car_size=size)
     reward = replace(_reward(), speed_limit=limit)
     human = Commuter(planning, state, road, reward, motion)
 
     # The nearest cars, if the human keeps its speed; the robot is always among them.
-    own_s = state[0] + state[3] * planning.times
-    along = (s - own_s) ** 2 / RESPONSES.along_per_aside**2
-    squared_distance = (along + (d - human.lateral_position) ** 2).min(axis=1)
-    squared_distance = jnp.where(counts, squared_distance, jnp.inf).at[0].set(-1.0)
+    first_s, _, _, first_speed = state
+    own_s = first_s + first_speed * planning.times
+    squared_along = (s - own_s) ** 2 / RESPONSES.along_per_aside**2
+    squared_aside = (d - human.lateral_position) ** 2
+    squared_distance = (squared_along + squared_aside).min(axis=1)  # [cars]
+    squared_distance = jnp.where(counts, squared_distance, jnp.inf)
+    squared_distance = squared_distance.at[0].set(-1.0)
     _, nearest = jax.lax.top_k(-squared_distance, 1 + RESPONSES.nearest_cars)
-    return replace(human, others=Motion(*(field[nearest] for field in motion)))
+    heeded = jax.tree.map(lambda field: field[nearest], motion)
+    return replace(human, others=heeded)
 
 
 @cache
 def _reward() -> Reward:
-    weights = commuter_weights()
-    heeded = {
-        name: weight for name, weight in weights.items() if name in RESPONSES.features
-    }
+    heeded = {}
+    for name, weight in commuter_weights().items():
+        if name in RESPONSES.features:
+            heeded[name] = weight
     return linear_reward(heeded, 1.0)

@@ -123,8 +123,9 @@ class RoadStep(ControlStep):
 class RoadDriver:
     """Drive a robot on any road, one step at a time.
 
-    If a plan takes longer than the budget, the robot follows it from the next step on;
-    in this step, it follows the last plan or, without one, brakes.
+    If a plan takes longer than the budget, the robot follows the last plan in this step
+    or, without one, brakes. The late plan is then the one to fall back on: the next
+    step follows it if its own plan is late or not finite, too.
 
     Attributes:
         planning: limits, and the desired speed; may be replaced between steps.
@@ -327,10 +328,10 @@ class RoadDriver:
         speed_before = dict(zip(owners_before, speeds_before, strict=True))
 
         # New cars have no earlier speed, and so no acceleration.
+        owners = scene.owners.tolist()
+        speeds = scene.states[:, 3].tolist()
         changes = []
-        for owner, speed in zip(
-            scene.owners.tolist(), scene.states[:, 3].tolist(), strict=True
-        ):
+        for owner, speed in zip(owners, speeds, strict=True):
             changes.append(speed - speed_before.get(owner, speed))
         accelerations = np.array(changes, np.float32) / float(self.planning.time_step)
         accelerations = np.nan_to_num(accelerations)

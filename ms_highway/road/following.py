@@ -101,7 +101,8 @@ def behaviour_of(situation: Situation, models: Places, plans: int) -> Behaviour:
     follows = (models >= ModelNumber.idm) & scene.moving & ~situation.crossings.exist
 
     # The present acceleration that the model does not explain, fading.
-    is_modelled = follows | ((models == ModelNumber.tom) & scene.moving)
+    optimises = (models == ModelNumber.tom) & scene.moving
+    is_modelled = follows | optimises
     modelled = jnp.where(is_modelled, present_accelerations(situation), 0.0)
     residual = scene.accelerations - modelled
     fading = jnp.exp(-times / PREDICTION.correction_time)
@@ -178,11 +179,11 @@ def follow_all(situation: Situation, traffic: TrafficMotion, robot: Car) -> Traf
 
     # The gap to the leader on the same path changes by how far both have moved.
     moved = traffic.along - first_along
-    gap_to_leader = jnp.where(
-        scene.leaders >= 0, scene.gaps + moved[scene.leaders] - moved, FREE_GAP
-    )
+    present_gap = scene.gaps + moved[scene.leaders] - moved
+    gap_to_leader = jnp.where(scene.leaders >= 0, present_gap, FREE_GAP)
+    leader_speed = traffic.speed[scene.leaders]
     behind_leader = HIGHWAY_ENV_IDM.acceleration(
-        traffic.speed, desired, gap_to_leader, traffic.speed[scene.leaders]
+        traffic.speed, desired, gap_to_leader, leader_speed
     )
 
     # The gap to the robot, where it drives ahead in the same lane.
@@ -205,8 +206,9 @@ def present_accelerations(situation: Situation) -> Traffic:
     along, across, _, speed = jnp.asarray(scene.states).T
     traffic = traffic_motion(situation, along, across, speed)
     on_each_path = follow_all(situation, traffic, jnp.asarray(scene.robot))
-    is_same_car = scene.owners[:, None] == scene.owners
-    least = jnp.where(is_same_car, on_each_path, jnp.inf).min(axis=1)
+    is_same_car = scene.owners[:, None] == scene.owners  # [traffic, traffic]
+    of_same_car = jnp.where(is_same_car, on_each_path, jnp.inf)
+    least = of_same_car.min(axis=1)
     return jnp.maximum(least, -speed / situation.planning.time_step)
 
 
@@ -239,7 +241,10 @@ def move_traffic(
     # Crashed cars slide to a stop, v' = -v. Cars that roll backwards may roll on; the
     # others stop at most.
     acceleration = jnp.where(scene.moving, acceleration, -traffic.speed)
-    rolls = positions_and_speeds(scene)[1] < -PREDICTION.rolling_speed
+    _, first_speed = positions_and_speeds(scene)
+    rolls = first_speed < -PREDICTION.rolling_speed
     lowest = jnp.where(rolls, -jnp.inf, -traffic.speed / dt)
     acceleration = jnp.maximum(acceleration, lowest)
-    return traffic.along + traffic.speed * dt, traffic.speed + acceleration * dt
+    next_along = traffic.along + traffic.speed * dt
+    next_speed = traffic.speed + acceleration * dt
+    return next_along, next_speed

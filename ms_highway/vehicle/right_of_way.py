@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from highway_env.road.road import LaneIndex
 from highway_env.vehicle.kinematics import Vehicle
+from jaxtyping import Bool
 from scipy.spatial import cKDTree
 
 from ms_highway.geometry.road_map import Lane, cached_on_owner
@@ -138,7 +139,8 @@ class Approach:
         The vehicle has that speed `GapAcceptance.stop` before the end of the room.
         """
         squares = max(self.vehicle.speed**2 - speed**2, 0.0)
-        return float(squares / (2 * max(room - GIVING_WAY.stop, 0.1)))
+        distance = max(room - GIVING_WAY.stop, 0.1)
+        return float(squares / (2 * distance))
 
     def _seconds(self, distance: float, acceleration: float = 0.0) -> float:
         """Return how long it drives a distance, with a constant acceleration [s]."""
@@ -185,10 +187,7 @@ def _meeting(own: Way, other: Way, own_order: int, order: int) -> Conflict | Non
 
     # Points where the ways are close, that neither has left and that are within reach.
     points, other_points = _close_points(own.line, other.line)
-    ahead = WAYS.spacing * points - own.place
-    other_ahead = WAYS.spacing * other_points - other.place
-    counts = (ahead >= -own.vehicle.LENGTH / 2) & (ahead < WAYS.reach)
-    counts &= (other_ahead >= -other.vehicle.LENGTH / 2) & (other_ahead < WAYS.reach)
+    counts = _in_reach(own, points) & _in_reach(other, other_points)
     if not counts.any():
         return None
     on_own = np.unique(points[counts])
@@ -197,15 +196,27 @@ def _meeting(own: Way, other: Way, own_order: int, order: int) -> Conflict | Non
     # Vehicles that stay on one road until then are not in conflict.
     own_lane = own.lane_at(on_own[0])
     other_lane = other.lane_at(on_other[0])
-    lanes = (own.vehicle.lane_index, other.vehicle.lane_index)
-    roads = {index[:2] for index in (*lanes, own_lane.index, other_lane.index)}
+    lanes = (
+        own.vehicle.lane_index,
+        other.vehicle.lane_index,
+        own_lane.index,
+        other_lane.index,
+    )
+    roads = {index[:2] for index in lanes}
     if len(roads) == 1:
         return None
 
     # Ways that have not parted within reach go on in the same lane.
     shared = own.ends_at(on_own[-1]) or other.ends_at(on_other[-1])
-    one = _approach(own, on_own, own_lane, own_order, shared)
-    return one, _approach(other, on_other, other_lane, order, shared)
+    own_approach = _approach(own, on_own, own_lane, own_order, shared)
+    other_approach = _approach(other, on_other, other_lane, order, shared)
+    return own_approach, other_approach
+
+
+def _in_reach(way: Way, points: Numbers) -> Bool[np.ndarray, "points"]:
+    """Return which points a vehicle has not left, and are within reach."""
+    ahead = WAYS.spacing * points - way.place
+    return (ahead >= -way.vehicle.LENGTH / 2) & (ahead < WAYS.reach)
 
 
 @cached_on_owner
@@ -216,10 +227,10 @@ def _close_points(line: Line, other: Line) -> tuple[Numbers, Numbers]:
         Numbers of points of the one line, and of the points of the other line that are
         close to them.
     """
-    close = cKDTree(line.points).sparse_distance_matrix(
-        cKDTree(other.points),
-        GIVING_WAY.clearance,
-        output_type="coo_matrix",
+    tree = cKDTree(line.points)
+    other_tree = cKDTree(other.points)
+    close = tree.sparse_distance_matrix(
+        other_tree, GIVING_WAY.clearance, output_type="coo_matrix"
     )
     return close.row, close.col
 
@@ -241,14 +252,17 @@ def _approach(
         shared: whether both go on in the same lane.
     """
     # The place ends at the first gap between the points, or never if it is shared.
+    first = points[0]
     gaps = np.flatnonzero(np.diff(points) > 1)
     last = points[gaps[0]] if len(gaps) else points[-1]
     goes_on = shared and not len(gaps)
-    length = np.inf if goes_on else WAYS.spacing * (last - points[0])
+    length = np.inf if goes_on else WAYS.spacing * (last - first)
 
     front = way.place + way.vehicle.LENGTH / 2
-    distance = max(WAYS.spacing * points[0] - front, 0.0)
-    rank = (float(lane.shape.priority or 0), not way.enters_before(int(points[0])))
+    distance = max(WAYS.spacing * first - front, 0.0)
+    priority = float(lane.shape.priority or 0)
+    stays_in_lane = not way.enters_before(int(first))
+    rank = (priority, stays_in_lane)
     return Approach(way.vehicle, float(distance), float(length), rank, order)
 
 
@@ -259,10 +273,13 @@ def highest_acceleration(vehicle: Vehicle) -> float:
     """
     highest = np.inf
     for own, other in conflicts(vehicle):
-        # Who is in the place, or goes first, or passes before or after the other one.
-        if own.distance <= 0.0 or own.goes_before(other) or own.can_go_before(other):
+        # A vehicle that is in the place, or goes first, need not give way.
+        if own.distance <= 0.0 or own.goes_before(other):
             continue
-        if other.leaves + GIVING_WAY.time < own.enters:
+
+        # Nor does one that passes before or after the other one.
+        passes_after = other.leaves + GIVING_WAY.time < own.enters
+        if own.can_go_before(other) or passes_after:
             continue
 
         needed = own.braking_for(other)
