@@ -14,20 +14,23 @@ SECONDS = {"naive": 0.25, "turn": 0.5, "tom": 1.0}
 
 def test_a_human_adds_the_cost_over_the_first_model():
     costs = Costs.of(SECONDS, humans=3)
+    assert costs.seconds == SECONDS
     assert costs.of_models(["naive"] * 3) == 0.25
     assert costs.of_models(["tom", "naive", "turn"]) == 0.25 + 0.75 + 0.0 + 0.25
-    assert Costs.of(SECONDS, humans=1).of_models(["tom"]) == 1.0
-    assert costs.seconds == SECONDS
+
+    of_one = Costs.of(SECONDS, humans=1)
+    assert of_one.of_models(["tom"]) == 1.0
 
 
 def test_names_and_numbers_of_rungs_count_the_same_time():
     costs = Costs.of(SECONDS, humans=2).select(["naive", "tom"])
+    plans = [["naive", "naive"], ["naive", "tom"], ["tom", "tom"]]
+    by_name = [costs.of_models(names) for names in plans]
+
     rungs = np.array([[0, 0], [0, 1], [1, 1]])
-    named = [costs.of_models([costs.names[rung] for rung in row]) for row in rungs]
-    np.testing.assert_array_equal(costs.total(rungs), named)
-    np.testing.assert_allclose(
-        jax.jit(Costs.total)(costs, jax.numpy.array(rungs)), named
-    )
+    np.testing.assert_array_equal(costs.total(rungs), by_name)
+    traced = jax.jit(Costs.total)(costs, jax.numpy.array(rungs))
+    np.testing.assert_allclose(traced, by_name)
 
 
 def test_an_unknown_model_has_no_time():
@@ -35,7 +38,8 @@ def test_an_unknown_model_has_no_time():
     assert costs.of_models(["lost"]) is None
     assert costs.of_models(["elsewhere"]) is None
     assert costs.seconds == {"tom": 1.0}
-    np.testing.assert_array_equal(costs.total(np.array([[0], [1]])), [np.nan, 1.0])
+    total = costs.total(np.array([[0], [1]]))
+    np.testing.assert_array_equal(total, [np.nan, 1.0])
 
 
 def test_other_numbers_are_not_compiled_again():
@@ -43,7 +47,8 @@ def test_other_numbers_are_not_compiled_again():
     rungs = jax.numpy.array([0, 2])
     for factor in (1, 2, 3):
         seconds = {name: factor * time for name, time in SECONDS.items()}
-        assert total(Costs.of(seconds, humans=2), rungs) == factor * 1.0
+        costs = Costs.of(seconds, humans=2)
+        assert total(costs, rungs) == factor * 1.0
     assert total._cache_size() == 1
 
 

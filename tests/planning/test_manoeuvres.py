@@ -1,4 +1,4 @@
-"""Manoeuvres into gaps, and starts of plans for seconds."""
+"""Manoeuvres into gaps, and starts of plans whose horizon is several seconds long."""
 
 import numpy as np
 import pytest
@@ -19,26 +19,31 @@ def traffic(*offsets, pace=SPEED):
     """The robot in its lane, far before the cones, and humans in the target lane, so
     far ahead of it [m].
     """
-    humans = ([offset - 60.0, TARGET, 0.0, pace] for offset in offsets)
-    return np.float32([[-60.0, 0.0, 0.0, SPEED], *humans])
+    robot = [-60.0, 0.0, 0.0, SPEED]
+    humans = [[offset - 60.0, TARGET, 0.0, pace] for offset in offsets]
+    return np.float32([robot, *humans])
 
 
 @jit_quickly
 def ways(state):
     """Six seconds of the ways into gaps."""
-    return into_gaps(GAME, state[0], coast(GAME.dynamics, state[1:], 60))[1]
+    others = coast(GAME.dynamics, state[1:], 60)
+    return into_gaps(GAME, state[0], others).states
 
 
 @jit_quickly
-def start(state, last, humans):
-    return best_start(GAME, state[0], last, move_all(GAME, state[1:], humans))
+def start(state, usual, humans):
+    others = move_all(GAME, state[1:], humans)
+    return best_start(GAME, state[0], usual, others)
 
 
 @jit_quickly
 def earned(state, robot):
     """What the robot's plan earns where others keep their velocity."""
-    others = move_all(GAME, state[1:], constant_velocity(GAME, state[1:]))
-    reward = GAME.payoff.total(move(GAME, state[0], robot), others)
+    steady = constant_velocity(GAME, state[1:])
+    others = move_all(GAME, state[1:], steady)
+    path = move(GAME, state[0], robot)
+    reward = GAME.payoff.total(path, others)
     return reward - discomfort(GAME, state[0], robot)
 
 
@@ -46,7 +51,8 @@ def test_a_car_ends_in_the_gap_that_it_drives_into():
     """There is a gap ahead of each car, and one behind the last of each lane."""
     state = traffic(-14.0, 2.0, pace=21.0)
     last, first = state[1:, 0] + 6.0 * 21.0
-    x, y, _, speed = np.asarray(ways(state))[:, -1].T
+    ends = np.asarray(ways(state))[:, -1]  # [gaps, 4]
+    x, y, _, speed = ends.T
     assert abs(y[:3] - TARGET).max() < 0.1
     assert abs(speed[:3] - 21.0).max() < 1.0
     ahead_of_last, ahead_of_all, behind_all, _ = x
@@ -72,8 +78,9 @@ def test_a_plan_starts_from_a_manoeuvre_that_is_much_better():
     assert earned(blocked, freed) > 0
 
     lost = np.full_like(kept, np.nan)
+    lost_humans = np.full_like(humans, np.nan)
     assert np.isfinite(start(state, lost, humans)).all()
-    assert np.isnan(start(state, lost, np.full_like(humans, np.nan))).all()
+    assert np.isnan(start(state, lost, lost_humans)).all()
 
 
 def test_a_standing_car_leaves_its_lane_before_an_obstacle():
@@ -81,15 +88,20 @@ def test_a_standing_car_leaves_its_lane_before_an_obstacle():
     before = float(GAME.scene.obstacles[:, 0].min()) - 8.0
     gone = [before + 167.0, TARGET, 0.0, SPEED]
     state = np.float32([[before, 0.0, 0.0, 0.0], gone, gone])
-    path = np.asarray(move(GAME, state[0], start(state, *cold_start(GAME, state))))
+    usual, humans = cold_start(GAME, state)
+    begin = start(state, usual, humans)
+    path = np.asarray(move(GAME, state[0], begin))
     assert path[1, -1] < TARGET / 2
     assert path[4, -1] > 5.0
 
 
 def test_a_car_stays_in_its_lane_until_beside_the_gap():
-    into = np.asarray(ways(traffic(-17.0, -6.0)))[0]
-    middle = SPEED * 0.1 * np.arange(1, 61) - 60.0 - 11.5
-    beside = int(np.argmax(abs(into[:, 0] - middle) < 2.5))
+    state = traffic(-17.0, -6.0)
+    into = np.asarray(ways(state))[0]
+    times = 0.1 * np.arange(1, 61)
+    middle = SPEED * times - 60.0 - 11.5
+    is_beside = abs(into[:, 0] - middle) < 2.5
+    beside = int(np.argmax(is_beside))
     assert beside > 5
     assert abs(into[:beside, 1]).max() < 0.1
     assert into[-1, 1] == pytest.approx(TARGET, abs=0.1)

@@ -25,7 +25,8 @@ NAIVE, IDM, TURN, TOM, BRAKES = range(len(LADDER))
 
 def with_weights(game, weights):
     """The game of humans with other weights."""
-    return replace(game, humans=replace(game.humans, weights=weights))
+    humans = replace(game.humans, weights=weights)
+    return replace(game, humans=humans)
 
 
 @pytest.fixture(scope="module")
@@ -48,16 +49,22 @@ def close(found, expected):
 def test_one_compilation_serves_all_assignments(three, plans):
     game, state = three
     plans.warm_up(state)
-    function = plans.call(state, [NAIVE] * 3)[0]
+    function, *_ = plans.call(state, [NAIVE] * 3)
     plans.plan(state, [NAIVE] * 3)  # whose numbers are placed
     sizes = function._cache_size()
-    drawn = [
-        np.random.default_rng(seed).integers(0, len(LADDER), 3) for seed in range(5)
-    ]
-    found = [plans.plan(state, rungs)[0].plan.robot for rungs in drawn]
+
+    # Assignments that are drawn by chance.
+    found = []
+    for seed in range(5):
+        rungs = np.random.default_rng(seed).integers(0, len(LADDER), 3)
+        solution, _ = plans.plan(state, rungs)
+        found.append(solution.plan.robot)
     assert np.isfinite(found).all()
     assert abs(np.diff(found, axis=0)).max() > 1e-3
-    bolder = CompiledPlans(with_weights(game, game.humans.weights * 1.1), LADDER)
+
+    # A game with other weights, and a start.
+    bolder_game = with_weights(game, game.humans.weights * 1.1)
+    bolder = CompiledPlans(bolder_game, LADDER)
     first, _ = plans.plan(state, [TOM] * 3)
     again, _ = bolder.plan(state, [TOM] * 3, first.plan)
     assert np.isfinite(again.plan.robot).all()
@@ -111,11 +118,14 @@ def test_the_order_of_humans_changes_nothing(three, plans):
     game, state = three
     rungs = np.array([TOM, TURN, NAIVE])
     order = np.array([2, 0, 1])
-    expected = plans.plan(state, rungs)[0].plan
-    reordered = CompiledPlans(with_weights(game, game.humans.weights[order]), LADDER)
-    plan = reordered.plan(state[[0, *(1 + order)]], rungs[order])[0].plan
-    close(plan.robot, expected.robot)
-    close(plan.humans, expected.humans[order])
+    expected, _ = plans.plan(state, rungs)
+
+    reordered_game = with_weights(game, game.humans.weights[order])
+    reordered = CompiledPlans(reordered_game, LADDER)
+    reordered_state = state[[0, *(1 + order)]]
+    found, _ = reordered.plan(reordered_state, rungs[order])
+    close(found.plan.robot, expected.plan.robot)
+    close(found.plan.humans, expected.plan.humans[order])
 
 
 @pytest.mark.parametrize(
