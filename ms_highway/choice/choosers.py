@@ -91,8 +91,10 @@ class PriceTogether(Priced[GameEvidence]):
 
     The worth of a rung is its gain less the price of its time. For each rung, the
     worths are added up from the nearest human outwards; k and the rung have the highest
-    sum. A human for whom a gain or a cost is unknown adds nothing to it, but gets the
-    rung if farther humans raise the sum.
+    sum. As learned gains assume the same rung for all nearer humans, the sum is what
+    the rung is worth for all k. A human without estimates adds nothing to it, but gets
+    the rung if farther humans raise the sum. If a cost is unknown, all humans get the
+    first rung.
 
     Attributes:
         most_humans: largest k. The networks that come with the package were learned for
@@ -112,11 +114,14 @@ class PriceTogether(Priced[GameEvidence]):
         rank = distance_rank(evidence.game, evidence.outcome.after)
         nearest = jnp.argsort(rank)[: self.most_humans]
         gained = gains[nearest]  # [nearest, rungs]
-        is_known = jnp.isfinite(gained - jnp.asarray(costs.each))
+
+        # A human is known if all its gains are; nobody is if a cost is unknown.
+        each = jnp.asarray(costs.each)
+        is_known = jnp.isfinite(gained - each)
         known = is_known.all(axis=1, keepdims=True)
 
         # What each rung is worth more than the first one.
-        prices = self.price * jnp.asarray(costs.each)
+        prices = self.price * each
         net_gains = jnp.where(known, gained, 0.0) - prices
         worth = jnp.where(known, net_gains - net_gains[:, :1], 0.0)
 

@@ -10,7 +10,7 @@ uncertain an estimate is.
 
 These gains are marginal: those of the k nearest humans add up to the gain of giving all
 k the rung, which `ms_highway.choice.choosers.PriceTogether` maximises. So a rung may
-pay for two humans if only both of them together open a gap.
+pay where a robot that merges finds room only if two humans yield together.
 
 `Values` is the content of a file. `LearnedValue` is the estimator: it names a file
 until an episode starts, and then holds the networks for the ladder of the episode.
@@ -164,8 +164,9 @@ class LearnedValue(Estimator[GameEvidence]):
         Raises:
             ValueError: see `load_values` and `Values.estimator`.
         """
-        networks = self.values_for(start).estimator(start.ladder)
-        return replace(networks, margin=self.margin, nearest=self.nearest)
+        values = self.values_for(start)
+        estimator = values.estimator(start.ladder)
+        return replace(estimator, margin=self.margin, nearest=self.nearest)
 
     def estimate(self, memory: Memory, evidence: GameEvidence) -> Estimate:
         """Estimate the gains of all rungs in the present state."""
@@ -335,10 +336,10 @@ class Values:
         self._check_ladder(names)
 
         # Select the outputs of these models: their means, then their raw deviations.
-        gains = len(self.ladder) - 1
-        means = [self.ladder.index(name) - 1 for name in names[1:]]
-        raw_stds = [gains + mean for mean in means]
-        selected = means + raw_stds
+        above_first = len(self.ladder) - 1
+        mean_columns = [self.ladder.index(name) - 1 for name in names[1:]]
+        std_columns = [above_first + column for column in mean_columns]
+        selected = mean_columns + std_columns
         *hidden, (weights, biases) = self.network
         last = (weights[..., selected], biases[..., selected])
         return LearnedValue(
@@ -348,7 +349,7 @@ class Values:
         )
 
     def _check_ladder(self, names: list[str]) -> None:
-        """Check that values of these models were learned over the first of them."""
+        """Check that values of these models were learned relative to the first one."""
         message = (
             f"{self.place}: values were learned on the ladder {' '.join(self.ladder)}"
         )
@@ -395,7 +396,7 @@ class _Provenance(TypedDict, total=False):
 
 
 class _About(Structure):
-    """Description in a file of values, with the same fields as `Values`."""
+    """Description in a file of values; it has some of the fields of `Values`."""
 
     ladder: tuple[str, ...]
     inputs: tuple[str, ...]
@@ -445,10 +446,13 @@ def _shipped(name: str) -> Values:
 
 
 @cache
-def _read(path: Path, content: str) -> Values:
-    """Read a file, once for each path and content, whose digest is given.
+def _read(path: Path, content_digest: str) -> Values:
+    """Read a file, once for each path and content.
 
-    The package's own files do not change, so that they need no digest.
+    Args:
+        path: of the file.
+        content_digest: only a key of the cache; empty for the package's own files,
+            which do not change.
     """
     arrays = read_arrays(path, VALUES_FORMAT.max_bytes)
 
@@ -471,6 +475,7 @@ def _read(path: Path, content: str) -> Values:
     layers = range(len(numbers) // 2)
     network = tuple((numbers[f"weights_{n}"], numbers[f"biases_{n}"]) for n in layers)
 
+    # Check the entries of the provenance that are compared.
     read(about.get("provenance"), _Provenance)
     described = read(about, _About)
     return Values(

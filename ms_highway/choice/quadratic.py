@@ -73,10 +73,11 @@ def trust_region_step(
     most_halvings = 60  # of the shift's bracket, beyond what float32 resolves
 
     # A and b in A's eigenbasis, the largest eigenvalue last.
-    values, vectors = jnp.linalg.eigh(quadratic)
+    eigenvalues, vectors = jnp.linalg.eigh(quadratic)
+    largest = eigenvalues[-1]
     along = vectors.T @ linear
-    gaps = values[-1] - values
-    least_shift = jnp.maximum(0.0, -values[-1])
+    gaps = largest - eigenvalues
+    least_shift = jnp.maximum(0.0, -largest)
 
     def at(shift: jax.Array) -> jax.Array:
         """Return x = b / (shift + max(l) - l)."""
@@ -90,31 +91,31 @@ def trust_region_step(
     def unfinished(bracket: Bracket) -> jax.Array:
         low, high, halvings = bracket
         may_go_on = halvings < most_halvings
-        inexact = jnp.abs(excess((low + high) / 2)) > tolerance * radius
-        return may_go_on & inexact
+        middle = (low + high) / 2
+        is_inexact = jnp.abs(excess(middle)) > tolerance * radius
+        return may_go_on & is_inexact
 
     def halve(bracket: Bracket) -> Bracket:
         low, high, halvings = bracket
         middle = (low + high) / 2
-        outside = excess(middle) > 0
-        return (
-            jnp.where(outside, middle, low),
-            jnp.where(outside, high, middle),
-            halvings + 1,
-        )
+        is_outside = excess(middle) > 0
+        new_low = jnp.where(is_outside, middle, low)
+        new_high = jnp.where(is_outside, high, middle)
+        return new_low, new_high, halvings + 1
 
-    interior = (values[-1] < 0) & (excess(least_shift) <= 0)
+    is_interior = (largest < 0) & (excess(least_shift) <= 0)
     most_shift = jnp.sqrt(jnp.sum(along**2)) / radius
     first = least_shift, most_shift, jnp.int32(0)
     low, high, halvings = jax.lax.while_loop(unfinished, halve, first)
-    maximiser = at(jnp.where(interior, least_shift, (low + high) / 2))
+    on_boundary = (low + high) / 2
+    maximiser = at(jnp.where(is_interior, least_shift, on_boundary))
 
     # In the hard case, go on along the top eigenvector up to the boundary.
-    hard = (values[-1] > 0) & (halvings == most_halvings)
+    is_hard = (largest > 0) & (halvings == most_halvings)
     left = radius**2 - jnp.sum(maximiser**2)
-    extension = jnp.where(
-        hard & (left > 1e-5 * radius**2), jnp.sqrt(jnp.maximum(left, 0.0)), 0.0
-    )
+    is_short = left > 1e-5 * radius**2
+    to_boundary = jnp.sqrt(jnp.maximum(left, 0.0))
+    extension = jnp.where(is_hard & is_short, to_boundary, 0.0)
     signed = jnp.where(along[-1] < 0, -extension, extension)
     return vectors @ maximiser.at[-1].add(signed)
 
@@ -122,7 +123,9 @@ def trust_region_step(
 Cooldown = Annotated[
     int,
     Meta(
-        ge=1, le=-NEVER, description=f"it must be a number of steps from 1 to {-NEVER}"
+        ge=1,
+        le=-NEVER,
+        description=f"it must be a number of steps from 1 to {-NEVER}",
     ),
 ]
 
@@ -131,8 +134,8 @@ class RewardExpansion(NamedTuple):
     """Derivatives of the robot's reward, and the human's response.
 
     Attributes:
-        gradient: in both players' controls, the robot's first.
-        hessian: in the same.
+        gradient: gradient with respect to the controls of both, the robot's first.
+        hessian: second derivatives with respect to the same.
         influence: J = d u_H / d u_R, how the human's controls respond to the robot's.
     """
 
@@ -207,11 +210,11 @@ class Quadratic(Estimator[GameEvidence]):
         rungs = jnp.asarray(memory.rungs)
         top = len(evidence.ladder) - 1
         humans = jnp.arange(len(rungs))
-        places = jnp.arange(top + 1)
-        in_use = places == rungs[:, None]  # [humans, rungs]
+        ladder = jnp.arange(top + 1)
 
-        # Which comparisons are due.
-        waited = memory.step + 1 - jnp.asarray(memory.last_check)[humans, rungs]
+        # Which comparisons are due: with the top, and with the rung below.
+        last_check = jnp.asarray(memory.last_check)[humans, rungs]
+        waited = memory.step + 1 - last_check
         climbs = (rungs < top) & (memory.step > 0)
         checks = (rungs > 0) & (memory.step > 0) & (waited >= self.cooldown)
 
@@ -226,14 +229,17 @@ class Quadratic(Estimator[GameEvidence]):
         own = jnp.where(rungs == 0, 0.0, jnp.asarray(memory.gain))
         own = jnp.where((rungs == 1) & jnp.isfinite(down), -down, own)
 
-        # Gains over the first rung: of the rung in use, where anything was compared
-        # with it, of the top, and of the rung below.
-        gains = jnp.where(
-            in_use & (climbs | checks)[:, None], own[:, None], NOT_ESTIMATED
-        )
-        gains = jnp.where(climbs[:, None] & (places == top), (own + up)[:, None], gains)
-        checked = checks[:, None] & (places == rungs[:, None] - 1)
-        gains = jnp.where(checked, (own + down)[:, None], gains)
+        # Gain over the first rung of the rung in use, where anything was compared with
+        # it: [humans, rungs].
+        in_use = ladder == rungs[:, None]
+        compared = (climbs | checks)[:, None]
+        gains = jnp.where(in_use & compared, own[:, None], NOT_ESTIMATED)
+
+        # The same of the top, and of the rung below.
+        is_top = climbs[:, None] & (ladder == top)
+        gains = jnp.where(is_top, (own + up)[:, None], gains)
+        is_below = checks[:, None] & (ladder == rungs[:, None] - 1)
+        gains = jnp.where(is_below, (own + down)[:, None], gains)
         return Estimate(gains, jnp.bool(False))
 
     def _gains(
@@ -246,8 +252,8 @@ class Quadratic(Estimator[GameEvidence]):
         """Estimate what the top rung and the rung below gain over the rung in use.
 
         Args:
-            evidence: of the robot and one human.
-            rung: in use for this human.
+            evidence: evidence of the robot and one human.
+            rung: rung in use for this human.
             climbs: whether the top rung is due.
             checks: whether the rung below is due.
 
@@ -265,13 +271,18 @@ class Quadratic(Estimator[GameEvidence]):
                 return gain(last.human, evidence.ladder[-1].responds)
 
             def gain_down() -> Scalar:
+                # All rungs but the top one may be below; a ladder of one rung is never
+                # checked, but has to be traced.
+                candidates = evidence.ladder[:-1] or evidence.ladder
+                game = evidence.game
+                predictions = []
+                for model in candidates:
+                    predictions.append(partial(scaled_prediction, model, game, state))
+
                 below = jnp.maximum(rung - 1, 0)
-                models = [
-                    partial(scaled_prediction, model, evidence.game, state)
-                    for model in evidence.ladder[:-1] or evidence.ladder
-                ]
-                predicted = jax.lax.switch(below, models)
-                return gain(predicted[: len(last.robot)], False)
+                predicted = jax.lax.switch(below, predictions)
+                steps = len(last.robot)
+                return gain(predicted[:steps], False)
 
             up = jax.lax.cond(climbs, gain_up, lambda: none)
             down = jax.lax.cond(checks, gain_down, lambda: none)
@@ -283,23 +294,26 @@ class Quadratic(Estimator[GameEvidence]):
         """Return the steps of the last plan, and the rewards around them.
 
         Args:
-            evidence: of the robot and one human.
-            state: of all cars before the last step.
+            evidence: evidence of the robot and one human.
+            state: all cars before the last step.
         """
         game = evidence.game
         outcome = evidence.outcome
         plan = outcome.plan
 
         # The first controls as observed, the others as planned.
-        robot = jnp.asarray(plan.robot)[: self.steps].at[0].set(outcome.robot)
-        human = jnp.asarray(plan.humans[0])[: self.steps].at[0].set(outcome.humans[0])
+        planned_robot = jnp.asarray(plan.robot)[: self.steps]
+        planned_human = jnp.asarray(plan.humans[0])[: self.steps]
+        robot = planned_robot.at[0].set(outcome.robot)
+        human = planned_human.at[0].set(outcome.humans[0])
 
         # The first reward as observed, the others as these controls earn them.
         if self.steps == 1:
             later = jnp.zeros(0)
         else:
             payoff = game.observed_payoff
-            later = step_rewards(game, payoff, state, robot, human[None])[1:]
+            rewards = step_rewards(game, payoff, state, robot, human[None])
+            later = rewards[1:]
         earned = outcome.reward + jnp.sum(later)
 
         expansion = expand(game, state, robot.ravel(), human.ravel())
@@ -316,8 +330,8 @@ class Quadratic(Estimator[GameEvidence]):
         """Return what another model would have gained per step.
 
         Args:
-            game: of the robot and one human.
-            state: of all cars before the step.
+            game: game of the robot and one human.
+            state: all cars before the step.
             last: what happened under the rung in use.
             expected: controls of the human that the model predicts.
             responds: whether the human responds under the model.
@@ -342,9 +356,9 @@ class ExpandedPlan(NamedTuple):
 
     Attributes:
         robot: scaled controls of the robot.
-        human: those of the human.
+        human: scaled controls of the human.
         earned: rewards of the robot for these steps, added up.
-        expansion: of the rewards, around these controls.
+        expansion: expansion of the rewards around these controls.
     """
 
     robot: Float[jax.Array, "steps 2"]
@@ -371,7 +385,7 @@ def with_human(evidence: GameEvidence, human: Index) -> GameEvidence:
 
 @jax.jit
 def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpansion:
-    """Expand the rewards of both players in the controls of both, in one batch.
+    """Expand the rewards of both players around the controls of both, in one batch.
 
     Each player is seen from its own car.
     """
@@ -385,26 +399,32 @@ def expand(game: Game, state: State, robot: Vector, human: Vector) -> RewardExpa
     ) -> Scalar:
         """Return what a player, car 0 of the state, earns by the controls of both."""
         own, partner = controls.reshape(2, -1, 2)
-        others = with_scripted(game, state, move(game, state[1], partner)[None])
-        return replace(payoff, reward=player).total(move(game, state[0], own), others)
+        partner_path = move(game, state[1], partner)
+        others = with_scripted(game, state, partner_path[None])
+        own_path = move(game, state[0], own)
+        return replace(payoff, reward=player).total(own_path, others)
+
+    # Controls and states as robot and human see them, the own ones first.
+    robot_first = jnp.concatenate([robot, human])
+    human_first = jnp.concatenate([human, robot])
+    controls = jnp.stack([robot_first, human_first])  # [players, both]
+    _, state_of_human = swap_players(game, state)
+    states = jnp.stack([state, state_of_human])
 
     # Gradients and Hessians of both rewards, [players, both] and [players, both, both].
-    controls = jnp.stack(
-        [jnp.concatenate([robot, human]), jnp.concatenate([human, robot])]
-    )
     players = game.players()
-    states = jnp.stack([state, swap_players(game, state)[1]])
     gradients = jax.vmap(jax.grad(earned))(controls, players, states)
     hessian, mirrored = jax.vmap(jax.hessian(earned))(controls, players, states)
 
     # J = -(d2R_H / du_H2)^-1 d2R_H / du_H du_R, with the human's cost of controls.
-    reward_bend = mirrored[:n, :n]
-    comfort = jnp.tile(jnp.asarray(game.humans.comfort), n // 2)
-    human_bend = reward_bend - jnp.diag(comfort)
+    steps = n // 2
+    comfort = jnp.tile(jnp.asarray(game.humans.comfort), steps)
+    human_hessian = mirrored[:n, :n] - jnp.diag(comfort)
+    mixed_hessian = mirrored[:n, n:]
     return RewardExpansion(
         gradient=gradients[0],
         hessian=hessian,
-        influence=minus_inverse_times(game.influence, human_bend, mirrored[:n, n:]),
+        influence=minus_inverse_times(game.influence, human_hessian, mixed_hessian),
     )
 
 

@@ -120,14 +120,14 @@ def _describe_pair(game: Game, state: State) -> Float[jax.Array, "numbers"]:
     """Return the compressed numbers of the robot and a human alone."""
     unit = jnp.asarray(game.scene.length_unit)
     limit = jnp.asarray(game.robot.speed_limit)
-    _, y, turned, speed = jnp.moveaxis(state, -1, 0)  # each [cars]
+    _, y, any_heading, speed = jnp.moveaxis(state, -1, 0)  # each [cars]
 
     # States after all cars have kept their velocity: [lookaheads, cars, 4].
-    heading = without_turns(turned)
-    none = jnp.zeros_like(speed)
+    heading = without_turns(any_heading)
+    zeros = jnp.zeros_like(speed)
     along = speed * jnp.cos(heading)
     across = speed * jnp.sin(heading)
-    change = jnp.stack([along, across, none, none], axis=-1)  # per second, [cars, 4]
+    change = jnp.stack([along, across, zeros, zeros], axis=-1)  # per second, [cars, 4]
     seconds = jnp.asarray(LOOKAHEADS)[:, None, None]
     coasted = state + seconds * change
 
