@@ -91,17 +91,17 @@ def simulate(loop: Loop, episodes: Episodes, devices: Devices | None = None) -> 
     refuse_after_fork()
     if len(episodes) == 0:
         raise ValueError("there are no episodes to simulate; give one at least")
-    check_user_features(
-        loop.game.scene, loop.game.robot, loop.game.number, episodes.starts[0]
-    )
-    warn_of_limits(loop.models, loop.game, episodes.starts[0])
-    shared = share_among(
-        devices or jax.local_devices()[:1],
-        partial(_simulate, loop),
-        episodes,
-        loop.together,
-    )
-    return checked_records(loop, shared)
+
+    # Check in one state what compiled code cannot.
+    game = loop.game
+    start = episodes.starts[0]
+    check_user_features(game.scene, game.robot, game.number, start)
+    warn_of_limits(loop.models, game, start)
+
+    devices = devices or jax.local_devices()[:1]
+    run_chunk = partial(_simulate, loop)
+    records = share_among(devices, run_chunk, episodes, loop.together)
+    return checked_records(loop, records)
 
 
 def checked_records(loop: Loop, records: Records) -> Records:
@@ -163,7 +163,8 @@ def _simulate(loop: Loop, episodes: Episodes) -> Records:
     """Run a chunk of episodes."""
     first = begin_episodes(loop, episodes.starts)
     by_step = StepInputs(jnp.swapaxes(episodes.schedules, 0, 1))
-    _, records = jax.lax.scan(partial(step_episodes, loop, episodes), first, by_step)
+    advance = partial(step_episodes, loop, episodes)
+    _, records = jax.lax.scan(advance, first, by_step)  # [steps, episodes, ...]
     return jax.tree.map(lambda part: jnp.swapaxes(part, 0, 1), records)
 
 
@@ -172,9 +173,10 @@ def begin_episodes(loop: Loop, starts: Float[Array, "episodes cars 4"]) -> Episo
     game = loop.game
 
     def begin_one(start: State) -> EpisodeCarry:
+        robot = begin(loop.rule, game, start)
         none = no_plan(game.planner.horizon, 1)
         humans = jax.tree.map(lambda part: jnp.stack([part] * game.number), none)
-        return EpisodeCarry(start, begin(loop.rule, game, start), humans)
+        return EpisodeCarry(start, robot, humans)
 
     return jax.vmap(begin_one)(starts)
 
@@ -268,11 +270,14 @@ def _decide(
     undecided = unestimated(memory, memory.rungs)
 
     def decide() -> Decision:
-        return decide_by(at_price(loop.rule, episode.prices), game, memory, outcome)
+        rule = at_price(loop.rule, episode.prices)
+        return decide_by(rule, game, memory, outcome)
 
+    # Decide, and put in the rungs of the schedule.
     decision = _where_needed(loop, is_needed, decide, undecided)
-    rungs = jnp.where(by_rule, decision.memory.rungs, scheduled).astype(jnp.int32)
-    return decision._replace(memory=decision.memory._replace(rungs=rungs))
+    decided = decision.memory
+    rungs = jnp.where(by_rule, decided.rungs, scheduled).astype(jnp.int32)
+    return decision._replace(memory=decided._replace(rungs=rungs))
 
 
 Result = TypeVar("Result")
@@ -288,7 +293,9 @@ def _where_needed(
 
     The other episodes keep ``otherwise``.
     """
-    somewhere = jax.lax.pmax(needed, loop.axis) if loop.together > 1 else needed
+    somewhere = needed
+    if loop.together > 1:
+        somewhere = jax.lax.pmax(needed, loop.axis)
     found = jax.lax.cond(somewhere, function, lambda: otherwise)
     return jax.tree.map(partial(jnp.where, needed), found, otherwise)
 
@@ -362,27 +369,27 @@ def _move_world(
     Args:
         loop: what the episodes share.
         episode: what is its own.
-        carry: into the step; of the robot, out of it.
-        control: of the robot, not scaled.
-        records: of the robot's step.
+        carry: what the episode carries into the step, but the robot's part out of it.
+        control: control of the robot, not scaled.
+        records: records of the robot's step.
     """
     game = believed(loop.game, episode)
     state = carry.state
     human_cars = slice(1, 1 + game.number)
 
     # All cars move at once: humans as they drive, scripted cars at their velocity.
-    wanted, fallbacks = _drive_humans(loop, episode, carry)
-    controls = _within_grip(game, state[human_cars, 3], wanted)
+    planned, fallbacks = _drive_humans(loop, episode, carry)
+    controls = _within_grip(game, state[human_cars, 3], planned)
     scripted_cars = slice(human_cars.stop, None)
-    all_controls = jnp.concatenate(
-        [control[None], controls, keep_velocity(game.world, state[scripted_cars])]
-    )
+    coasting = keep_velocity(game.world, state[scripted_cars])
+    all_controls = jnp.concatenate([control[None], controls, coasting])  # [cars, 2]
     after = move(game.world, state, all_controls)
 
     # Reward the robot.
     phi = features(game.scene, game.robot, after)
-    reward = phi @ game.robot.weights
-    collision = phi[game.robot.names.index("collision")] > 0
+    reward = phi @ game.robot.weights  # r = theta . phi
+    collision_feature = game.robot.names.index("collision")
+    collision = phi[collision_feature] > 0
     records = records._replace(reward=reward, collision=collision, states=after)
     return carry._replace(state=after, humans=fallbacks), records
 

@@ -69,7 +69,8 @@ def unmoved_control(
     braking = xp.max(xp.where(ahead, closing**2 / (2 * gaps), 0.0))
 
     # Make room for a robot that is beside this car or in front of it.
-    between = xp.any(ahead & (along < along[0]) & ~is_robot)
+    is_between = ahead & (along < along[0]) & ~is_robot
+    between = xp.any(is_between)
     near = (
         (-length / 2 < along[0])
         & (along[0] < length + YIELDING.room)
@@ -83,10 +84,10 @@ def unmoved_control(
 
     # Otherwise keep the velocity, and never reverse.
     coasting = keep_velocity(game.world, own)
-    hardest = xp.minimum(
-        YIELDING.max_deceleration, own[3] / xp.asarray(game.world.time_step)
-    )
-    return xp.stack([coasting[0], coasting[1] - xp.minimum(braking, hardest)])
+    until_standing = own[3] / xp.asarray(game.world.time_step)
+    hardest = xp.minimum(YIELDING.max_deceleration, until_standing)
+    acceleration = coasting[1] - xp.minimum(braking, hardest)
+    return xp.stack([coasting[0], acceleration])
 
 
 never_yields = partial(unmoved_control, yields=False)
