@@ -179,9 +179,11 @@ class DemonstrationEnv(GameEnv):
         self.routes[: len(routes)] = routes
 
         self.road = Road(straight_road(self.game), np_random=self.np_random)
-        driver = BicycleVehicle(self.road, start[:2], *start[2:].tolist())
+        heading, speed = start[2:].tolist()
+        driver = BicycleVehicle(self.road, start[:2], heading, speed)
         driver.color = HumanVehicle.COLOR
-        self._place([driver, *(RoutedVehicle(self.road, route) for route in routes)])
+        others = [RoutedVehicle(self.road, route) for route in routes]
+        self._place([driver, *others])
 
     def _draw_start(self) -> Car:
         """Draw the state of the driver at the start."""
@@ -192,7 +194,8 @@ class DemonstrationEnv(GameEnv):
         half_lane = float(scene.lane_width) / 2
 
         # In a lane, or with one side off the road.
-        y = random.choice(lanes) + random.normal(scale=draw.lateral_spread)
+        centre = random.choice(lanes)
+        y = centre + random.normal(scale=draw.lateral_spread)
         if random.uniform() < draw.off_road_share:
             depth = random.uniform(-draw.off_road_depth, 0)
             from_edge = depth + BicycleVehicle.WIDTH / 2
@@ -259,7 +262,8 @@ def draw_routes(
         for _ in range(ROUTE_DRAW.tries * cars):
             route = _draw_route(random, times, lanes, driver[0])
             clear_of_routes = all(_clear(route, other).all() for other in routes)
-            if clear_of_routes and _clear(route[0], driver):
+            clear_of_driver = _clear(route[0], driver)
+            if clear_of_routes and clear_of_driver:
                 routes.append(route)
             if len(routes) == cars:
                 return np.array(routes)
@@ -275,7 +279,8 @@ def _draw_route(
     draw = ROUTE_DRAW
     lane = random.integers(len(lanes))
     speed = random.uniform(*draw.speeds)
-    neighbours = [place for place in (lane - 1, lane + 1) if 0 <= place < len(lanes)]
+    adjacent = (lane - 1, lane + 1)
+    neighbours = [index for index in adjacent if 0 <= index < len(lanes)]
     next_lane = random.choice(neighbours)
     start = random.uniform(*draw.change_starts)
     duration = random.uniform(*draw.change_durations)
@@ -291,10 +296,13 @@ def _draw_route(
 
     along = x + random.uniform(*draw.places) + speed * times
     heading = np.arctan2(speed_across, speed)
-    return np.stack([along, y, heading, np.hypot(speed_across, speed)], axis=-1)
+    path_speed = np.hypot(speed_across, speed)
+    return np.stack([along, y, heading, path_speed], axis=-1)
 
 
 def _clear(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return whether two cars are apart, along the road or across it."""
-    apart = np.abs(one[..., :2] - other[..., :2])
-    return (apart[..., 0] >= ROUTE_DRAW.gap) | (apart[..., 1] >= ROUTE_DRAW.side_gap)
+    distance = np.abs(one[..., :2] - other[..., :2])
+    apart_along = distance[..., 0] >= ROUTE_DRAW.gap
+    apart_across = distance[..., 1] >= ROUTE_DRAW.side_gap
+    return apart_along | apart_across

@@ -85,12 +85,14 @@ class InteractionViewer(Viewer):
         left = lanes.min() - half_lane
         right = lanes.max() + half_lane
         middle = np.mean([left, right])
-        surface.move_display_window_to(np.array([env.robot.position[0], middle]))
+        robot_x = env.robot.position[0]
+        surface.move_display_window_to(np.array([robot_x, middle]))
 
-        above = surface.pos2pix(0, left)[1]
-        below = surface.pos2pix(0, right)[1]
+        _, above = surface.pos2pix(0, left)
+        _, below = surface.pos2pix(0, right)
+        road = (0, above, surface.get_width(), below - above)
         surface.fill(PALETTE.ground)
-        surface.fill(PALETTE.asphalt, (0, above, surface.get_width(), below - above))
+        surface.fill(PALETTE.asphalt, road)
         for lane in env.road.network.lanes_list():
             LaneGraphics.display(lane, surface)
         for cone in env.road.objects:
@@ -112,9 +114,10 @@ class InteractionViewer(Viewer):
         """Draw all cars; several humans have the colours of their models."""
         env = self.env
         if len(env.humans) > 1:
-            for place, human in enumerate(env.humans):
-                first = env.settings.models[0].name
-                human.color = model_color(step.models[place] if step else first)
+            first = env.settings.models[0].name
+            models = step.models if step else [first] * len(env.humans)
+            for human, model in zip(env.humans, models, strict=True):
+                human.color = model_color(model)
         RoadGraphics.display_traffic(
             env.road, self.sim_surface, offscreen=self.offscreen
         )
@@ -129,17 +132,22 @@ class InteractionViewer(Viewer):
         dynamics = jax.tree.map(float, self.env.game.dynamics)
 
         def path(state: Car, controls: Controls) -> list[tuple[int, int]]:
+            """Return the pixels that a car passes."""
             states = accumulate(controls, partial(move, dynamics), initial=state)
             return [surface.vec2pix(each) for each in states]
 
         # Among several humans, every second dot, and smaller ones.
-        every = 1 if len(step.models) == 1 else 2
-        radius = 4 if len(step.models) == 1 else 2
+        every = 1
+        radius = 4
+        if len(step.models) > 1:
+            every = 2
+            radius = 2
         predicted = zip(others, step.humans, step.models, strict=False)
         for state, controls, model in predicted:
+            color = model_color(model)
             for point in path(state, controls)[every::every]:
                 pygame.draw.circle(surface, PALETTE.paper, point, radius + 2)
-                pygame.draw.circle(surface, model_color(model), point, radius)
+                pygame.draw.circle(surface, color, point, radius)
 
         plan = path(robot, step.plan)
         pygame.draw.lines(surface, PALETTE.paper, False, plan, 8)
@@ -148,10 +156,12 @@ class InteractionViewer(Viewer):
     def _write_names(self) -> None:
         """Write a name on the robot and on every human."""
         env = self.env
-        names = ["human"]
+        names = ["robot", "human"]
         if len(env.humans) > 1:
-            names = [str(place) for place in range(1, 1 + len(env.humans))]
-        for name, car in zip(["robot", *names], [env.robot, *env.humans], strict=True):
+            numbers = range(1, 1 + len(env.humans))
+            names = ["robot", *map(str, numbers)]
+        cars = [env.robot, *env.humans]
+        for name, car in zip(names, cars, strict=True):
             centre = self.sim_surface.vec2pix(car.position)
             size = PANEL_LAYOUT.small
             self._write(name, size, PALETTE.paper, PALETTE.asphalt, center=centre)
@@ -213,12 +223,11 @@ class InteractionViewer(Viewer):
             "deciding": step.decision_seconds,
             "budget": self.env.settings.controller.budget,
         }
-        taken = [
-            f"{name} {1e3 * seconds:.1f} ms"
-            for name, seconds in times.items()
-            if seconds
-        ]
-        return ", ".join(taken)
+        parts = []
+        for name, seconds in times.items():
+            if seconds:
+                parts.append(f"{name} {1e3 * seconds:.1f} ms")
+        return ", ".join(parts)
 
     def _remarks(self, step: ControlStep) -> str:
         """Return a line of remarks.
@@ -264,21 +273,33 @@ class InteractionViewer(Viewer):
         They stand side by side, behind the number of the human.
         """
         layout = PANEL_LAYOUT
-        named_width = 60  # px, from which a part of a bar shows its name
         width = (layout.text_width - 5 * layout.margin) / len(belief)
-        for place, shares in enumerate(belief):
-            left = layout.margin + place * width
-            start = left
+        for index, probabilities in enumerate(belief):
+            left = layout.margin + index * width
+            right = left + width - 4
             if len(belief) > 1:
-                number = str(place + 1)
+                number = str(index + 1)
                 box = self._write(number, layout.small, topleft=(left, top))
-                start = box.right + 3
-            ends = start + (left + width - 4 - start) * np.cumsum([0.0, *shares])
-            for name, (low, high) in zip(PACKAGE_MODELS, pairwise(ends), strict=False):
-                area = (low, top, high - low + 1, 17)
-                part = self.sim_surface.fill(model_color(name), area)
-                if part.width > named_width:
-                    self._write(name, layout.small, PALETTE.paper, center=part.center)
+                left = box.right + 3
+            self._draw_belief(probabilities, left, right, top)
+
+    def _draw_belief(
+        self,
+        probabilities: np.ndarray,
+        left: float,
+        right: float,
+        top: int,
+    ) -> None:
+        """Draw a bar with a part for each model, as wide as its probability."""
+        small = PANEL_LAYOUT.small
+        named_width = 60  # px, from which a part of a bar shows its name
+        ends = left + (right - left) * np.cumsum([0.0, *probabilities])
+        parts = zip(PACKAGE_MODELS, pairwise(ends), strict=False)
+        for name, (start, end) in parts:
+            area = (start, top, end - start + 1, 17)
+            part = self.sim_surface.fill(model_color(name), area)
+            if part.width > named_width:
+                self._write(name, small, PALETTE.paper, center=part.center)
 
     def _draw_chart(
         self,
@@ -303,8 +324,8 @@ class InteractionViewer(Viewer):
         width = box.width / max(self.env.episode_steps, len(values))
         tops = np.interp(values, [low, high], [box.bottom - 3, box.top])
         bars = []
-        for place, top in enumerate(tops):
-            left = box.left + place * width
+        for step, top in enumerate(tops):
+            left = box.left + step * width
             bars.append(pygame.Rect(left, top, max(1, width - 2), box.bottom - top))
         return bars
 
@@ -323,9 +344,10 @@ class InteractionViewer(Viewer):
             high = max(*values, 1e3 * self.longest)
         bars = self._draw_chart(box, heading, values, 0.0, high)
         for step, bar in zip(steps, bars, strict=True):
-            models = sorted(step.models, key=cheapest_first(step.models).index)
-            for place, model in enumerate(models):
-                top = bar.top + bar.height * place / humans
+            by_cost = cheapest_first(step.models)
+            models = sorted(step.models, key=by_cost.index)
+            for index, model in enumerate(models):
+                top = bar.top + bar.height * index / humans
                 area = (bar.left, top, bar.width, bar.bottom - top)
                 self.sim_surface.fill(model_color(model), area)
 
@@ -340,8 +362,9 @@ class InteractionViewer(Viewer):
         surface = self.sim_surface
         if low < 0 < high:
             zero = np.interp(0.0, [low, high], [box.bottom, box.top])
-            ends = (box.left, zero), (box.right, zero)
-            pygame.draw.line(surface, PALETTE.grid, *ends)
+            left = (box.left, zero)
+            right = (box.right, zero)
+            pygame.draw.line(surface, PALETTE.grid, left, right)
         pygame.draw.lines(surface, PALETTE.ink, False, [points[0], *points], 2)
         pygame.draw.circle(surface, PALETTE.ink, points[-1], 3)
 
@@ -369,11 +392,10 @@ def _reason(step: ControlStep) -> str:
     if step.choice_failed:
         return f"choice failed: {step.model} to be safe"
     first = step.ladder[0]
-    gains = [
-        f"{name} {gain:+.3f}"
-        for name, gain in step.highest_gains().items()
-        if name != first
-    ]
+    gains = []
+    for name, gain in step.highest_gains().items():
+        if name != first:
+            gains.append(f"{name} {gain:+.3f}")
     if not gains:
         return "no other model considered"
     return f"gain over {first}: {', '.join(gains)}"

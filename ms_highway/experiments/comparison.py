@@ -105,16 +105,16 @@ class Comparison:
         configs = []
         for name in self.controllers:
             config = {**ENVIRONMENTS[name].default_config(), **self.config}
-            config["human_reward"] = (
-                config["human_reward"] or HUMAN_REWARDS[config["semantics"]]
-            )
+            if not config["human_reward"]:
+                config["human_reward"] = HUMAN_REWARDS[config["semantics"]]
             configs.append(config)
-        first = configs[0]
-        common = {
-            key: first[key]
-            for key in self.always_recorded
-            if all(first[key] == config[key] for config in configs)
-        }
+
+        # Leave out what differs among the scenarios.
+        common = {}
+        for key in self.always_recorded:
+            first = configs[0][key]
+            if all(config[key] == first for config in configs):
+                common[key] = first
         common |= self.config
         if "ladder" in self.config:
             common["ladder"] = rung_names(self.config["ladder"])
@@ -127,18 +127,20 @@ class Comparison:
         modules, as scenarios, drivers and features may come from them; on what was
         added by names that its configuration or the scenario has; and on its own files.
         """
-        found: dict[str, dict[str, Sources]] = {}
+        sources: dict[str, dict[str, Sources]] = {}
+        config = json.dumps(self.config, default=str)
         for name, controllers in self.controllers.items():
             scenario = ENVIRONMENTS[name].scenario
-            weights = [*scenario.robot_weights, *scenario.human_weights]
-            config = json.dumps(self.config, default=str)
+            features = [*scenario.robot_weights, *scenario.human_weights]
             for controller in controllers:
-                named = " ".join([name, controller, *scenario.ladder, *weights, config])
+                # All names that may stand for something of the user's.
+                names = [name, controller, *scenario.ladder, *features, config]
+                definitions = definition_sources(" ".join(names))
                 files = controller_settings(controller).files()
                 digests = {file: digest(Path(file)) for file in files}
-                own = imported_sources() | definition_sources(named) | digests
-                found.setdefault(name, {})[controller] = own
-        return found
+                own = imported_sources() | definitions | digests
+                sources.setdefault(name, {})[controller] = own
+        return sources
 
     def columns(self) -> list[str]:
         """Return the columns of a record of steps.
@@ -195,9 +197,9 @@ def by_column(
 
     Records have the states of the first two cars.
     """
-    # [fields of two cars, ...]
-    robot_and_human = np.moveaxis(states[..., :2, :], (-2, -1), (0, 1))
-    fields = robot_and_human.reshape(len(STATES), *np.shape(states)[:-2])
+    robot_and_human = states[..., :2, :]
+    cars_first = np.moveaxis(robot_and_human, (-2, -1), (0, 1))  # [2, 4, ...]
+    fields = cars_first.reshape(len(STATES), *np.shape(states)[:-2])
     columns = {f"gain_{name}": gain for name, gain in gains.items()}
     return columns | dict(zip(STATES, fields, strict=True))
 
@@ -212,7 +214,9 @@ def models_of(table: pd.DataFrame, what: str) -> list[str]:
     """
     prefix = f"{what}_"
     columns = [str(column) for column in table]
-    names = {name.removeprefix(prefix) for name in columns if name.startswith(prefix)}
+    names = {
+        column.removeprefix(prefix) for column in columns if column.startswith(prefix)
+    }
     return [name for name in known_models(names) if name in names]
 
 
@@ -247,14 +251,23 @@ def per_episode(steps: pd.DataFrame, models: Iterable[str] = ()) -> pd.DataFrame
     if measured:
         shares["late"] = steps["status"] == "late"
     failed = ("previous plan", "braking")
-    sums = {"collisions": steps["collision"], "fallbacks": steps["status"].isin(failed)}
+    sums = {
+        "collisions": steps["collision"],
+        "fallbacks": steps["status"].isin(failed),
+    }
 
+    # An episode begins with each step 0.
     number_of_episode = (steps["step"] == 0).cumsum()
-    episodes = steps.assign(**shares, **sums).groupby(number_of_episode)
+    rows = steps.assign(**shares, **sums)
+    episodes = rows.groupby(number_of_episode)
+
+    # Means of columns without empty cells.
     averaged = episodes[["reward", "counted_seconds", *measured, *counts, *shares]]
-    complete = averaged.count().eq(episodes.size(), axis=0)
-    means = averaged.mean().where(complete)
-    table = episodes[KEYS].first().join(means).join(episodes[list(sums)].sum())
+    is_complete = averaged.count().eq(episodes.size(), axis=0)
+    means = averaged.mean().where(is_complete)
+
+    totals = episodes[list(sums)].sum()
+    table = episodes[KEYS].first().join(means).join(totals)
     if "success" in steps:
         # It is empty where there is one human.
         last = episodes["success"].last()
@@ -320,5 +333,6 @@ def common_seeds(
 ) -> list[int]:
     """Return the seeds from which all of these controllers have driven, ascending."""
     rows = records.query("scenario == @scenario and controller in @controllers")
-    driven = rows.groupby("seed")["controller"].nunique()
-    return driven.index[driven == len(set(controllers))].tolist()
+    counts = rows.groupby("seed")["controller"].nunique()
+    driven_by_all = counts == len(set(controllers))
+    return counts.index[driven_by_all].tolist()
