@@ -330,17 +330,8 @@ class RolloutSimulator:
         states = states[finite]
         weights = weights[finite]
 
-        # How likely each state is drawn: [episodes, steps].
-        y = states[:, :, 0, 1]
-        speed = states[:, :, 0, 3]
-        offset = np.abs(y - float(game.scene.target_lane))
-        outside_lane = offset > float(game.scene.lane_width) / 2
-        likely = outside_lane * speed / float(game.robot.speed_limit)
-        likely = np.clip(likely, self.settings.min_likely, 1.0)
-        likely /= likely.sum(axis=1, keepdims=True)
-
         drawn = []
-        for episode, probabilities in zip(states, likely, strict=True):
+        for episode, probabilities in zip(states, self._likely(states), strict=True):
             chosen = random.choice(
                 steps,
                 states_of_each,
@@ -350,6 +341,24 @@ class RolloutSimulator:
             drawn.append(episode[chosen])
         weights_of_each = np.repeat(weights, states_of_each, axis=0)
         return np.concatenate(drawn)[:count], weights_of_each[:count]
+
+    def _likely(
+        self,
+        states: Float[np.ndarray, "episodes steps cars 4"],
+    ) -> Float[np.ndarray, "episodes steps"]:
+        """Return the probability with which each state of an episode is drawn.
+
+        It grows with the speed of a robot outside its lane.
+        """
+        game = self.batch.loop.game
+        y = states[:, :, 0, 1]
+        speed = states[:, :, 0, 3]
+        offset = np.abs(y - float(game.scene.target_lane))
+        outside_lane = offset > float(game.scene.lane_width) / 2
+        likely = outside_lane * speed / float(game.robot.speed_limit)
+        likely = np.clip(likely, self.settings.min_likely, 1.0)
+        likely /= likely.sum(axis=1, keepdims=True)
+        return likely
 
 
 _describe = jax.jit(jax.vmap(describe, (None, 0, 0)))

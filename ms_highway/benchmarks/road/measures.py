@@ -62,29 +62,38 @@ def motion_figures(
     x, y, heading, speed = np.asarray(states, dtype=float).T
     heading = np.unwrap(heading)
 
-    # Acceleration [2, frames]: change of the velocity vector, and as a rotation.
-    velocity = speed * np.stack([np.cos(heading), np.sin(heading)])
-    acceleration = np.diff(velocity) / time_step
-    turning = np.hypot(np.diff(speed), speed[:-1] * np.diff(heading)) / time_step
+    # Acceleration [2, frames]: change of the velocity vector.
+    direction = np.stack([np.cos(heading), np.sin(heading)])
+    acceleration = np.diff(speed * direction) / time_step
     jerk = np.diff(acceleration) / time_step
+
+    # Its size [frames] if the velocity turns while it grows.
+    speed_change = np.diff(speed)
+    change_across = speed[:-1] * np.diff(heading)
+    turning = np.hypot(speed_change, change_across) / time_step
 
     # Acceleration of the centre, without the last frame if a crash moved the car.
     positions = np.stack([x, y])
     if crashed:
         positions = positions[:, :-1]
-    of_centre = np.diff(np.diff(positions) / time_step) / time_step
+    centre_velocity = np.diff(positions) / time_step
+    of_centre = np.diff(centre_velocity) / time_step
 
+    frames = len(turning)
     speeds = np.abs(speed[1:])
-    numbers = {
-        "frames": len(turning),
+    stands = speeds < WATCH.standing_speed
+    both = [turning, np.hypot(*acceleration)]
+    squared_jerk = np.sum(jerk**2, axis=0)
+    figures = {
+        "frames": frames,
         "distance": np.sum(speeds) * time_step,
-        "seconds": len(turning) * time_step,
-        "stood": np.sum(speeds < WATCH.standing_speed) * time_step,
-        "max_acceleration": np.max([turning, np.hypot(*acceleration)], initial=0.0),
+        "seconds": frames * time_step,
+        "stood": np.sum(stands) * time_step,
+        "max_acceleration": np.max(both, initial=0.0),
         "max_acceleration_of_centre": np.max(np.hypot(*of_centre), initial=0.0),
-        "squared_jerk": np.mean(np.sum(jerk**2, axis=0)) if jerk.size else 0.0,
+        "squared_jerk": np.mean(squared_jerk) if jerk.size else 0.0,
     }
-    return {name: np.asarray(number).item() for name, number in numbers.items()}
+    return {name: np.asarray(figure).item() for name, figure in figures.items()}
 
 
 class Watch:
@@ -149,13 +158,14 @@ class Watch:
         """Return what the ego has collided with, None if it is unknown."""
         ego = self._env.vehicle
         road = self._env.road
-        gaps = {
-            other: _gap(ego, other)
-            for other in (*road.vehicles, *road.objects)
-            if other is not ego and other.crashed
-        }
-        near = [other for other in gaps if gaps[other] < WATCH.collision_reach]
-        return min(near, key=gaps.__getitem__, default=None)
+        gaps = {}
+        for other in (*road.vehicles, *road.objects):
+            if other is ego or not other.crashed:
+                continue
+            gap = _gap(ego, other)
+            if gap < WATCH.collision_reach:
+                gaps[other] = gap
+        return min(gaps, key=gaps.__getitem__, default=None)
 
 
 class OthersWatch:
@@ -240,17 +250,20 @@ class OthersWatch:
 
         # Which bodies overlap, of all pairs; the ego is the first vehicle.
         vehicles = [ego, *others]
-        poses = np.array(
-            [(*vehicle.position, vehicle.heading) for vehicle in vehicles]
-        ).T
+        rows = [(*vehicle.position, vehicle.heading) for vehicle in vehicles]
+        poses = np.array(rows).T  # x, y and heading, [3, vehicles]
         sizes = np.array([(vehicle.LENGTH, vehicle.WIDTH) for vehicle in vehicles])
         first, second = np.triu_indices(len(vehicles), 1)
         distances = separation(
-            tuple(poses[:, first]), sizes[first], tuple(poses[:, second]), sizes[second]
+            tuple(poses[:, first]),
+            sizes[first],
+            tuple(poses[:, second]),
+            sizes[second],
         )
         overlap = distances < 0
-        ego_touches = ego.crashed or bool(overlap[first == 0].any())
-        return ego_touches, bool(crashed) or bool(overlap[first > 0].any())
+        ego_overlaps = bool(overlap[first == 0].any())
+        others_overlap = bool(overlap[first > 0].any())
+        return ego.crashed or ego_overlaps, bool(crashed) or others_overlap
 
 
 def _gap(one: RoadObject, other: RoadObject) -> float:
@@ -294,13 +307,14 @@ def is_at_fault(
     # that is closest to it.
     forward = other.direction
     across = np.array([-forward[1], forward[0]])
-    away = ego.position - other.position
+    ego_centre = ego.position - other.position
     half_length = other.LENGTH / 2
     half_width = other.WIDTH / 2
-    aside = np.clip(away @ across, -half_width, half_width)
-    closest = half_length * forward + aside * across
-    is_ahead = away @ forward > half_length
-    rear_ended = is_ahead and (closest - away) @ ego.direction < 0
+    lateral = np.clip(ego_centre @ across, -half_width, half_width)
+    closest = half_length * forward + lateral * across
+    is_ahead = ego_centre @ forward > half_length
+    is_behind = (closest - ego_centre) @ ego.direction < 0
+    rear_ended = is_ahead and is_behind
 
     # Lanes of the same road that follow each other must have the same number.
     followed = [lane for lane in lanes if lane is not None]
