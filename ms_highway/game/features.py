@@ -147,23 +147,28 @@ def motion_features(
     traffic = []
     if TRAFFIC_FEATURES[0] in parameters.names:
         traffic = _traffic(scene, parameters, own, others)
-    return [
-        -forward * (forward - 2),
-        HEADING_SHARE * own.cosine - _off_lanes(scene, own, smooth) * per_unit**2,
+
+    # The paper's features, in the order of `PAPER_FEATURES`.
+    speed = -forward * (forward - 2)
+    off_lanes = _off_lanes(scene, own, smooth) * per_unit**2
+    lane_alignment = HEADING_SHARE * own.cosine - off_lanes
+    off_road = (depth_off_road(scene, own, smooth) * per_unit) ** 2
+    columns = [
+        speed,
+        lane_alignment,
         risk,
         collision,
-        (depth_off_road(scene, own, smooth) * per_unit) ** 2,
+        off_road,
         -(from_target[0] ** 2),
         -(behind**2),
         merged[0],
         -(from_target[1] ** 2),
         merged[1],
         *traffic,
-        *(
-            _at_every_moment(function, scene, own, others)
-            for function in parameters.user_features
-        ),
     ]
+    for function in parameters.user_features:
+        columns.append(_at_every_moment(function, scene, own, others))
+    return columns
 
 
 def _at_every_moment(
@@ -203,12 +208,14 @@ def check_user_features(
     Raises:
         ValueError: naming the feature.
     """
-    names = parameters.names[len(parameters.names) - len(parameters.user_features) :]
+    first = len(parameters.names) - len(parameters.user_features)
+    names = parameters.names[first:]
     for name, function in zip(names, parameters.user_features, strict=True):
         for car in range(1 + humans):
             # A human's partner is the robot, which comes first among the others.
             others = [other for other in range(len(state)) if other != car]
-            from_side = np.asarray(state, np.float32)[np.array([car, *others])]
+            order = np.array([car, *others])
+            from_side = np.asarray(state, np.float32)[order]
             shown = np.round(np.asarray(state, float), 2).tolist()
             subject = f"the feature {name!r} of car {car} in the state {shown}"
             _check_user_feature(function, scene, from_side, subject, gradients)
@@ -277,9 +284,8 @@ def _traffic(
     """
     # w of every other car, 0 for those behind or ahead [others, *times].
     along, gap, attended = attention(scene, own, others)
-    ahead, behind = (
-        jnp.where(place, attended, 0.0) for place in (along > 0, along <= 0)
-    )
+    ahead = jnp.where(along > 0, attended, 0.0)
+    behind = jnp.where(along <= 0, attended, 0.0)
     per_unit = 1 / scene.length_unit
     speed = own.speed * per_unit
     faster = jnp.maximum(others.speed * per_unit - speed, 0.0)
@@ -318,8 +324,10 @@ def attention(scene: Scene, own: Motion, others: Motion) -> tuple[Times, Times, 
     per_unit = 1 / scene.length_unit
     along = (others.x - own.x) * per_unit
     across = (others.y - own.y) / (FOLLOWING.lane_spread * scene.lane_width)
-    gap = jnp.maximum(jnp.abs(along) - scene.car_size[0] * per_unit, 0.0)
-    return along, gap, jnp.exp(-gap / FOLLOWING.attention_gap - across**2 / 2)
+    car_length = scene.car_size[0] * per_unit
+    gap = jnp.maximum(jnp.abs(along) - car_length, 0.0)
+    attended = jnp.exp(-gap / FOLLOWING.attention_gap - across**2 / 2)
+    return along, gap, attended
 
 
 def depth_off_road(scene: Scene, car: Motion, smooth: bool) -> Times:

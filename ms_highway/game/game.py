@@ -1,5 +1,9 @@
 """Define the game that a robot and humans play, and the rewards of their plans.
 
+The robot is car 0. The humans follow, then the scripted cars, which keep their
+velocity. *Players* are the robot and the humans. The *others* of a car are all cars but
+itself, and its *partner* is the first of them.
+
 Throughout the core, controls of plans are in units of the planner's ``control_scale``
 ("scaled"). They become curvatures and accelerations only where a plan is executed.
 """

@@ -55,8 +55,9 @@ def record(
     seed: int = 0,
     temperature: float = TEMPERATURE,
 ) -> Iterator[int]:
-    """Record the episodes that a data set lacks; each is on disk before the next
-    begins.
+    """Record the episodes that a data set lacks.
+
+    Each is on disk before the next begins.
 
     Episode k has the seed ``seed + k``, and the densities take turns. Yields the number
     of recorded episodes, at the start and after every episode.
@@ -242,8 +243,9 @@ def actions(
 
 
 def load_demonstrations(dataset: str) -> list[Recording]:
-    """Read the episodes of a recorded data set; car 0 is the driver, and every episode
-    is a group.
+    """Read the episodes of a recorded data set.
+
+    Car 0 is the driver, and every episode is a group.
 
     Raises:
         ValueError: if there is no such data set, or it is damaged or of another
@@ -266,8 +268,9 @@ def load_demonstrations(dataset: str) -> list[Recording]:
 
 
 def _episode(name: str, observations: np.ndarray) -> Recording:
-    """Return an episode's observations [times, cars, presence and state] as a
-    recording.
+    """Return the observations of an episode as a recording.
+
+    They are [times, cars, presence and state].
     """
     tracks = np.asarray(observations, dtype=float)
     broken = np.argwhere(~np.isfinite(tracks))
