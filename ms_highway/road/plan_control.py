@@ -19,7 +19,7 @@ from ms_highway.runtime.arrays import Car, Control, Scalar
 
 
 @dataclass(frozen=True)
-class LaneSteering:
+class RoadSteering:
     """Set how plans steer to the middle of a lane."""
 
     frequency: float = 1.6
@@ -30,7 +30,7 @@ class LaneSteering:
     """Below this speed, steering is not sharper than at this speed [m/s]."""
 
 
-STEERING = LaneSteering()
+STEERING = RoadSteering()
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 from jax import numpy as jnp
+from jaxtyping import Float
 
 from ms_highway.geometry.curve import Curve
 from ms_highway.perception.scene import (
@@ -11,6 +12,7 @@ from ms_highway.perception.scene import (
     RoadScene,
     States,
     Steps,
+    Traffic,
     World,
 )
 from ms_highway.road.following import (
@@ -26,6 +28,7 @@ from ms_highway.road.proposals import Profiles
 from ms_highway.road.robot_motion import GRIP_USE, advance, bodies
 from ms_highway.road.traffic import Situation
 from ms_highway.runtime.arrays import (
+    Array,
     Car,
     Control,
     ManyControls,
@@ -56,11 +59,41 @@ class SimulatedPlans(NamedTuple):
         return jnp.moveaxis(self.states[:, None], -1, 0)
 
 
+class Moving(NamedTuple):
+    """What moves from step to step.
+
+    Attributes:
+        car: state of the robot.
+        along: positions of others along their paths [m].
+        speed: of others along their paths [m/s].
+    """
+
+    car: Car
+    along: Traffic
+    speed: Traffic
+
+
+class StepInputs(NamedTuple):
+    """What is given for a step, whatever happens before it.
+
+    Attributes:
+        control: of the robot, if its controls are given.
+        across: lateral positions of others on their paths [m].
+        rows: accelerations, residuals and limits of others, see `move_traffic`.
+    """
+
+    control: Control
+    across: Traffic
+    rows: Float[Array, "3 traffic"]
+
+
 class StepRecord(NamedTuple):
     """What a step of the simulation records.
 
-    These are the robot's state after it, its executed control, and the motion of others
-    after it.
+    Attributes:
+        state: of the robot after the step.
+        control: that the robot executed.
+        traffic: motion of others after the step.
     """
 
     state: Car
@@ -77,30 +110,30 @@ def simulate(
     scene = situation.scene
     planning = situation.planning
     across = lateral_positions(scene, planning.times)  # [traffic, steps]
-    start = (scene.robot, *positions_and_speeds(scene))
+    first_along, first_speed = positions_and_speeds(scene)
+    start = Moving(scene.robot, first_along, first_speed)
 
     def simulate_one(plan: Profiles, accelerations: PerPathAndStep) -> StepRecord:
         """Simulate a plan, given the accelerations of others that do not follow."""
 
-        def step(carry: tuple, inputs: tuple) -> tuple[tuple, StepRecord]:
-            car, along, speed = carry
-            given_control, step_across, rows = inputs
-            traffic = traffic_motion(situation, along, step_across, speed)
+        def step(now: Moving, given: StepInputs) -> tuple[Moving, StepRecord]:
+            """Move the robot and the others; both act on what is now."""
+            traffic = traffic_motion(situation, now.along, given.across, now.speed)
+            own_control = plan_control(situation, plan, now.car, traffic)
+            desired = jnp.where(plan.is_given, given.control, own_control)
+            car, control = advance(scene, planning, now.car, desired)
+            along, speed = move_traffic(
+                situation, behaviour, given.rows, traffic, now.car
+            )
+            moved = traffic_motion(situation, along, given.across, speed)
+            return Moving(car, along, speed), StepRecord(car, control, moved)
 
-            # Both the robot and the others act on what is now.
-            own_control = plan_control(situation, plan, car, traffic)
-            desired = jnp.where(plan.is_given, given_control, own_control)
-            next_car, control = advance(scene, planning, car, desired)
-            along, speed = move_traffic(situation, behaviour, rows, traffic, car)
-
-            moved = traffic_motion(situation, along, step_across, speed)
-            return (next_car, along, speed), StepRecord(next_car, control, moved)
-
-        # What others do in each step, [steps, 3, traffic].
+        # What others do in each step, [3, traffic, steps] to [steps, 3, traffic].
         rows = jnp.stack([accelerations, behaviour.residual, behaviour.limit])
-        rows = rows.T.swapaxes(1, 2)
-        inputs = (plan.controls, across.T, rows)
-        return jax.lax.scan(step, start, inputs)[1]
+        rows_of_steps = rows.T.swapaxes(1, 2)
+        inputs = StepInputs(plan.controls, across.T, rows_of_steps)
+        _, records = jax.lax.scan(step, start, inputs)
+        return records
 
     records = jax.vmap(simulate_one)(plans, behaviour.accelerations)
 
@@ -111,13 +144,25 @@ def simulate(
     own_pose = bodies(scene, records.state)
     own_speed = records.state[..., 3]
     centre = jnp.stack([*own_pose, own_speed], axis=-2)
+    world = _in_world(scene, traffic, across)
+    return SimulatedPlans(records.state, records.control, centre, world, traffic)
 
-    # The others in world coordinates, [plans, traffic, 4, steps].
+
+def _in_world(
+    scene: RoadScene, traffic: TrafficMotion, across: PerPathAndStep
+) -> World:
+    """Return trajectories of others in world coordinates, [plans, traffic, 4, steps].
+
+    Args:
+        scene: the road.
+        traffic: motion of others after each step.
+        across: lateral positions on their paths after each step [m].
+    """
     place_on_paths = jax.vmap(Curve.place, (0, -2, 0), -2)
     x, y, path_heading = place_on_paths(scene.paths, traffic.along, across)
-    heading = path_heading + scene.body_angle - _slip_angles(scene, traffic.along)
-    world = jnp.stack([x, y, heading, traffic.speed], axis=-2)
-    return SimulatedPlans(records.state, records.control, centre, world, traffic)
+    slip_angles = _slip_angles(scene, traffic.along)
+    heading = path_heading + scene.body_angle - slip_angles
+    return jnp.stack([x, y, heading, traffic.speed], axis=-2)
 
 
 def _slip_angles(scene: RoadScene, along: PerPathAndStep) -> PerPathAndStep:

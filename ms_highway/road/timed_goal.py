@@ -114,7 +114,8 @@ class TimedGoal:
         # A follower's speed, if the vehicle can still brake gently before the spot.
         room = max(distance - TIMED_DRIVING.stop_margin, 0.0)
         stopping = sqrt(2 * TIMED_DRIVING.braking * room)
-        return max(in_time, min(_follower_speed(vehicle), stopping), lowest)
+        with_follower = min(_follower_speed(vehicle), stopping)
+        return max(in_time, with_follower, lowest)
 
     def _time_left(self, distance: float, speed: float, now: float) -> float:
         """Return the time until a vehicle should be at the spot [s].
@@ -139,9 +140,9 @@ class TimedGoal:
         latest = way / max(speed + slowest, TIMED_DRIVING.lowest_speed)
 
         # The interval of time, narrowed to these times where both have times in common.
-        first, last = (
-            max(time - now, TIMED_DRIVING.shortest_time) for time in self.times
-        )
+        earliest, deadline = self.times
+        first = max(earliest - now, TIMED_DRIVING.shortest_time)
+        last = max(deadline - now, TIMED_DRIVING.shortest_time)
         if max(first, soonest) <= min(last, latest):
             first = max(first, soonest)
             last = min(last, latest)
@@ -170,7 +171,8 @@ class TimedGoal:
 
         # The share of the seconds after a plan that are before the latest time there.
         plan_end = planning.steps * float(planning.time_step)
-        share = (self.times[1] - now - plan_end) / VALUE_GRID.seconds
+        _, deadline = self.times
+        share = (deadline - now - plan_end) / VALUE_GRID.seconds
         terminal = float(weights.terminal) * min(max(share, 0.0), 1.0)
 
         desired_speed = self.desired_speed(vehicle, now)
