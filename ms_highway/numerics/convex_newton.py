@@ -12,7 +12,7 @@ may be chosen, by a margin: see `ms_highway.planning.plans.best_start`.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import jax
 from jax import numpy as jnp
@@ -199,6 +199,14 @@ def improve(objective: Objective, controls: Controls, model: LocalModel) -> Cont
     return objective.bounded(controls + share * whole)
 
 
+class _Progress(NamedTuple, Generic[Iterate]):
+    """An iterate, the fraction taken of the last step, and the number of steps."""
+
+    iterate: Iterate
+    fade: jax.Array
+    steps: jax.Array
+
+
 def until_still(
     step: Callable[[Index, Iterate], Iterate],
     start: Iterate,
@@ -223,16 +231,15 @@ def until_still(
         one hardly moved the controls.
     """
 
-    def iterate(
-        now: tuple[Iterate, jax.Array, jax.Array],
-    ) -> tuple[Iterate, jax.Array, jax.Array]:
-        before, _, index = now
-        after = step(index, before)
+    def take_step(now: _Progress[Iterate]) -> _Progress[Iterate]:
+        before = now.iterate
+        after = step(now.steps, before)
 
         # The fraction to take, by the norm of the step.
         change = jax.tree.map(jnp.subtract, after, before)
         moved = jax.tree.leaves(controls_of(change))
-        norm = jnp.sqrt(sum(jnp.sum(array**2) for array in moved))
+        squared = sum(jnp.sum(array**2) for array in moved)
+        norm = jnp.sqrt(squared)
         fade = jnp.clip(norm / NEWTON_STEPS.tolerance - 1, 0.0, 1.0)
 
         # Of a whole step, take the end itself, as old + 1 * difference would round.
@@ -244,12 +251,12 @@ def until_still(
             return jnp.where(fade < 1, old + fade * difference, new)
 
         taken = jax.tree.map(faded, before, after, change)
-        return taken, fade, index + 1
+        return _Progress(taken, fade, now.steps + 1)
 
-    def goes_on(now: tuple[Iterate, jax.Array, jax.Array]) -> jax.Array:
-        _, fade, count = now
-        return (fade > NEWTON_STEPS.fade_end) & (count < most)
+    def goes_on(now: _Progress[Iterate]) -> jax.Array:
+        return (now.fade > NEWTON_STEPS.fade_end) & (now.steps < most)
 
-    first = (start, jnp.ones(()), jnp.zeros((), int))
-    last, fade, count = jax.lax.while_loop(goes_on, iterate, first)
-    return last, count, fade <= NEWTON_STEPS.fade_end
+    first = _Progress(start, fade=jnp.ones(()), steps=jnp.zeros((), int))
+    last = jax.lax.while_loop(goes_on, take_step, first)
+    is_still = last.fade <= NEWTON_STEPS.fade_end
+    return last.iterate, last.steps, is_still

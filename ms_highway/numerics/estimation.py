@@ -48,11 +48,11 @@ def slope_differences(
 
     There is a row per parameter.
     """
-    steps = step * np.eye(len(parameters))
-    rows = [
-        np.asarray(slope(parameters + each)) - np.asarray(slope(parameters - each))
-        for each in steps
-    ]
+    rows = []
+    for change in step * np.eye(len(parameters)):
+        above = np.asarray(slope(parameters + change))
+        below = np.asarray(slope(parameters - change))
+        rows.append(above - below)
     return np.array(rows, dtype=float) / (2 * step)
 
 
@@ -71,6 +71,11 @@ def grouped_covariance(
         scores: slopes of each datum's part of the loss.
         groups: that the data belong to.
     """
-    sums = [scores[groups == group].sum(axis=0) for group in np.unique(groups)]
+    sums = []
+    for group in np.unique(groups):
+        of_group = scores[groups == group]
+        sums.append(of_group.sum(axis=0))
     summed = np.stack(sums)  # [groups, parameters]
-    return inverse @ (summed.T @ summed) @ inverse
+
+    outer_products = summed.T @ summed  # sum_i s_i s_i^T
+    return inverse @ outer_products @ inverse

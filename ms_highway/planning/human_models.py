@@ -184,7 +184,8 @@ class IntelligentDriver(PredictedHuman):
             return step(game.dynamics, state, controls), control
 
         start_state = jnp.asarray(state)
-        _, controls = jax.lax.scan(follow, start_state, None, game.planner.horizon)
+        horizon = game.planner.horizon
+        _, controls = jax.lax.scan(follow, start_state, None, horizon)
         return controls
 
 

@@ -64,7 +64,8 @@ def register(model: HumanModel, before: str | None = None) -> None:
             f"unknown human model {before!r} to come before; the models are"
             f" {', '.join(names)}"
         )
-    names.insert(len(names) if before is None else names.index(before), model.name)
+    place = len(names) if before is None else names.index(before)
+    names.insert(place, model.name)
     known = MODELS | {model.name: model}
     MODELS.clear()  # not replaced, as other modules hold it
     MODELS.update((name, known[name]) for name in names)
@@ -184,7 +185,9 @@ def _rank(model: HumanModel) -> tuple[int, float, bool]:
 
     It is the type, then the number of steps, the planner's own number last.
     """
-    return list(MODELS).index(type(model).name), model.steps or inf, model.warm
+    place_of_type = list(MODELS).index(type(model).name)
+    steps = model.steps or inf
+    return place_of_type, steps, model.warm
 
 
 def rung_names(names: Sequence[str]) -> list[str]:
