@@ -91,7 +91,7 @@ class StepSeconds:
 
 
 class Driver:
-    """Plan every step with the models that a rule chooses.
+    """Plan every step with the models that a rule chooses, for car 0 of a game.
 
     Where a plan is not finite, the robot follows the rest of the last finite plan, then
     brakes. With a budget, a plan may be late. In its own step, the robot then goes on
@@ -207,7 +207,7 @@ class Driver:
             ValueError: if it is not a finite array [cars, 4] of two cars or more.
         """
         now = checked_state(state)
-        compiling = self._warm_up(now)
+        compile_seconds = self._warm_up(now)
 
         # The clock starts once everything is compiled.
         last_checking = self._seconds.checking if self.way_out else 0.0
@@ -223,9 +223,9 @@ class Driver:
         )
         carry = self._carry or begin(self._rule, self._game, now)
         self._carry, result = step(carry, now, parts)
-        return self._record(result, compiling)
+        return self._record(result, compile_seconds)
 
-    def _record(self, result: GameResult, compiling: float) -> ControlStep:
+    def _record(self, result: GameResult, compile_seconds: float) -> ControlStep:
         """Return the record of a step in SI units, given the seconds of compilation."""
         executed = result.executed
         choice = result.choice
@@ -248,7 +248,7 @@ class Driver:
             models=tuple(names[rung] for rung in executed.rungs),
             planning_seconds=self._seconds.planning + self._seconds.checking,
             decision_seconds=self._seconds.choosing,
-            compile_seconds=compiling,
+            compile_seconds=compile_seconds,
             ladder=names,
             gains=gains,
             choice_failed=bool(choice.decision.failed),
@@ -263,6 +263,7 @@ class Driver:
 
     def _choose(self, carry: GameCarry, now: State) -> GameChoice:
         """Choose the models; see `ms_highway.loop.step.Parts`."""
+        # Without a computation, the rule is an order, which needs no complete outcome.
         if not self._choice_computes:
             decision = decide_by(self._rule, self._game, carry.memory, carry.outcome)
             decision = jax.tree.map(np.asarray, decision)
@@ -323,7 +324,7 @@ class Driver:
         rule, measuring = timed(
             deciding_in, self.rule, lambda: self._deciding_seconds(state)
         )
-        if rule is self._rule:
+        if rule is self._rule:  # its chooser counts no decisions
             return seconds
 
         # The rule now knows how long a decision takes.
@@ -334,7 +335,7 @@ class Driver:
     def _deciding_seconds(self, state: State) -> float:
         """Measure the seconds of a warm decision."""
         carry = begin(self.rule, self.game, state)
-        after_first = np.ones((), np.int32)  # the first step may take less
+        after_first = np.ones((), np.int32)  # in the first, rules may compute less
         carry = carry._replace(memory=carry.memory._replace(step=after_first))
         times = []
         for _ in range(CompiledPlans.repeats):

@@ -29,6 +29,9 @@ def choose(
 ) -> GameChoice:
     """Observe what the last step has shown, and choose a model of each human.
 
+    Humans who do not respond get another rung than the rule chose. The rule learns of
+    it in the next step, from its memory.
+
     Args:
         game: as the robot believes it.
         models: models that rungs name.

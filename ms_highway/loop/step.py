@@ -100,15 +100,15 @@ Details = TypeVar("Details")
 
 
 class RemainingPlan(NamedTuple, Generic[WarmStart]):
-    """What is left of a plan from some step on.
+    """A plan, and how many of its controls are left from some step on.
 
     Attributes:
         plan: scaled controls; beyond its end, the last ones are repeated.
         controls_left: number of its controls that are left, this step's included; with
             0, the robot brakes.
         rungs: rung of each human's model in this plan.
-        warm_start: initial guess of the next plan: this plan or, if it is an escape,
-            the one that it replaced.
+        warm_start: initial guess of the next plan. It is not this plan where the robot
+            escapes or brakes, as that would be a poor guess.
     """
 
     plan: Plan
@@ -228,7 +228,8 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
     escape: Callable[[Cars, Control], Escape] | None = None
 
 
-# The same in games, where nothing but the states of cars is looked at.
+# These types in games: cars are a state, plans start from plans, and choices and records
+# need nothing else.
 GameCarry: TypeAlias = Carry[State, Plan]
 GameChoice: TypeAlias = Choice[None]
 GamePlan: TypeAlias = NewPlan[Plan, None]
@@ -244,12 +245,12 @@ def step(
     now: Cars,
     parts: Parts[Cars, WarmStart, Observation, Details],
 ) -> tuple[Carry[Cars, WarmStart], StepResult[WarmStart, Observation, Details]]:
-    """Drive one step: choose a model of each human, plan, and execute a control.
+    """Decide one step: choose a model of each human, plan, and return what to execute.
 
     It is a step of the paper's meta-MDP, whose action is the choice of the models
-    (Sripathy et al. 2021, Sec. III). The plan's first control is executed. A robot that
-    cannot follow its plan falls back on the last one, then brakes. It escapes if that
-    is better than every way out after the control.
+    (Sripathy et al. 2021, Sec. III). The caller executes the first control of the
+    executed plan. A robot that cannot follow its plan falls back on the last one, then
+    brakes. It escapes if that is better than every way out after the control.
 
     Args:
         carry: what the robot carries into the step.
@@ -279,12 +280,12 @@ def step(
 
     # Remember the rungs of the executed plan. The gain of a chosen rung says nothing of
     # another one that is used instead.
-    chosen = choice.decision.memory
-    gain = chosen.gain * (executed.rungs == chosen.rungs)
-    memory = Memory(executed.rungs, carry.memory.step + 1, chosen.last_check, gain)
+    decided = choice.decision.memory
+    gain = decided.gain * (executed.rungs == decided.rungs)
+    memory = Memory(executed.rungs, carry.memory.step + 1, decided.last_check, gain)
 
     # Remember what was done. Its consequences show in the next step, whose choice
-    # completes the outcome.
+    # completes the outcome; until then, what is after the step holds its place.
     control = executed.plan.robot[0]
     outcome = carry.outcome._replace(
         before=now, after=now, robot=control, plan=executed.plan
@@ -384,14 +385,14 @@ def follow(
         return fall_back(last, rungs, now, brake)
 
     # A plan in time is executed now, and is what the next step falls back on.
-    fallback, status = branch(finite, follow_new, follow_last)
+    best, status = branch(finite, follow_new, follow_last)
     if not late:
-        return fallback, fallback, status
+        return best, best, status
 
     # A late one is only what the next step falls back on.
-    executed, failed = follow_last()
-    status = branch(finite, lambda: status_number("late"), lambda: failed)
-    return executed, fallback, status
+    executed, last_status = follow_last()
+    status = branch(finite, lambda: status_number("late"), lambda: last_status)
+    return executed, best, status
 
 
 def fall_back(
@@ -424,9 +425,10 @@ def follow_escape(
 ) -> tuple[RemainingPlan[WarmStart], RemainingPlan[WarmStart], Index]:
     """Follow an escape, and fall back on it, if it replaces the control.
 
-    A late plan is then given up, except as a warm start. Late and failed plans keep
-    their status, so that only escapes from plans in time have one of their own. The
-    rungs remain those of the plan, although an escape relies on nobody.
+    A late plan is then given up, except as a warm start. The status stays where the
+    step's own plan was late or failed, so that only escapes from plans in time have a
+    status of their own. The rungs remain those of the plan, although an escape relies
+    on nobody.
 
     Returns:
         The same as `follow`.
@@ -436,7 +438,7 @@ def follow_escape(
     warm_start = fallback.warm_start
     escaping = RemainingPlan(plan, controls_left, planned.rungs, warm_start)
 
-    # Only a planned control gets the status of an escape.
+    # The status changes only where the step's own plan would have been executed.
     renamed = escape.replaces & (status == status_number("planned"))
     status = branch(renamed, lambda: status_number("way out"), lambda: status)
 
