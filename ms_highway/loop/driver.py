@@ -263,7 +263,7 @@ class Driver:
 
     def _choose(self, carry: GameCarry, now: State) -> GameChoice:
         """Choose the models; see `ms_highway.loop.step.Parts`."""
-        # Without a computation, the rule is an order, which needs no complete outcome.
+        # Rules that compute nothing, such as an order, need no complete outcome.
         if not self._choice_computes:
             decision = decide_by(self._rule, self._game, carry.memory, carry.outcome)
             decision = jax.tree.map(np.asarray, decision)

@@ -228,8 +228,8 @@ class Parts(NamedTuple, Generic[Cars, WarmStart, Observation, Details]):
     escape: Callable[[Cars, Control], Escape] | None = None
 
 
-# These types in games: cars are a state, plans start from plans, and choices and records
-# need nothing else.
+# These types in games: cars are a state, plans start from plans, and nothing else is
+# needed for choices and records.
 GameCarry: TypeAlias = Carry[State, Plan]
 GameChoice: TypeAlias = Choice[None]
 GamePlan: TypeAlias = NewPlan[Plan, None]
