@@ -40,9 +40,7 @@ def interrupted(process):
     return said.splitlines()[-1], process.returncode
 
 
-def test_an_interrupt_during_imports_ends_a_command_with_one_sentence(
-    tmp_path,
-):
+def test_an_interrupt_during_imports_ends_a_command_with_one_sentence(tmp_path):
     process = begin(f"{SCRIPT} {SWEEP} {tmp_path}")
     while "numpy" not in Path(f"/proc/{process.pid}/maps").read_text():
         time.sleep(0.01)

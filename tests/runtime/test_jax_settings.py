@@ -87,9 +87,7 @@ assert main("sweep merger --controllers tom --seeds 2 --out out".split()) == 0
 
 
 @pytest.mark.slow
-def test_everything_drives_in_single_precision_in_a_program_of_double_precision(
-    tmp_path,
-):
+def test_single_precision_holds_in_a_program_of_double_precision(tmp_path):
     python(
         "-c", DOUBLE_PRECISION, cwd=tmp_path, env={**os.environ, "JAX_ENABLE_X64": "1"}
     )
