@@ -323,17 +323,19 @@ class Payoff:
         risk_price = self.reward.price("collision_risk") * bodies.share
         risk = risk_price * jnp.exp(-bodies.sharpness * now)
         fall = bodies.sharpness * risk
-        half_second = bodies.sharpness**2 * risk / 2
+        half_second_derivative = bodies.sharpness**2 * risk / 2
 
         # Those of the smooth indicator, factor max(margin - (D - 1), 0)^3.
         if not self.avoids_contact:
             price = RISK.smooth_factor * self.reward.price("collision")
             depth = jnp.maximum(RISK.smooth_margin - now, 0.0)
             fall = fall + 3 * price * depth**2
-            half_second = half_second + 3 * price * depth
+            half_second_derivative = half_second_derivative + 3 * price * depth
         fall = jnp.sqrt(fall)
-        half_second = jnp.sqrt(half_second)
-        return jnp.stack([fall * ahead, fall * across, half_second * distance])
+        half_second_derivative = jnp.sqrt(half_second_derivative)
+        return jnp.stack(
+            [fall * ahead, fall * across, half_second_derivative * distance]
+        )
 
 
 def _half_hessian_of_points(
