@@ -28,7 +28,7 @@ from ms_highway.cli.console import (
 from ms_highway.cli.options import (
     DEVICES,
     MAX_FIRST_SEED,
-    SCENARIOS,
+    SCENARIO_ARGUMENT,
     SET,
     controllers,
     read_comparison,
@@ -44,7 +44,7 @@ JSON = output("--json", "write all figures to a JSON file")
 @command(
     "bench",
     "measure planning time and the closed loop",
-    SCENARIOS,
+    SCENARIO_ARGUMENT,
     controllers("(default: all models of the ladder, and switching)"),
     number(
         "--batches",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MAX_FIRST_SEED = 2**63 - 1 - MAX_COUNT
 """Largest first seed: Parquet's integers hold it and `MAX_COUNT` seeds from it on."""
 
-CONTROLLERS = (
+CONTROLLER_NAMES = (
     "naive, turn, tom, learned:LAMBDA[:FILE], switching:LAMBDA, horizon:LAMBDA,"
     " schedule:MODEL=STEPS,...,MODEL, random:MODEL=SHARE,...,"
     " budget:MILLISECONDS[:FILE], nearest:K; your own: functions of add_driver, agents"
@@ -71,12 +71,12 @@ notebooks/REFERENCE.md explains all keys; the most useful ones are:
                           the robot; or mixed, each human never or always
   human_driver=NAME       what drives the humans instead: a driver that --import adds by
                           ms_highway.add_driver
-  way_out=false           let plans leave no way out from humans who do not yield
+  way_out=false           let plans ignore ways out from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
 
-SCENARIOS = option(
+SCENARIO_ARGUMENT = option(
     "scenarios",
     f"{', '.join(SCENARIO_NAMES)} (default: the paper's)",
     nargs="*",
@@ -103,7 +103,7 @@ FORMAT = option("--format", "of figures", FORMATS[0], choices=FORMATS)
 def controllers(text: str) -> Option:
     """Return ``--controllers``, with a text that its help shows behind the names."""
     return option(
-        "--controllers", f"{CONTROLLERS}. {text}", nargs="+", metavar="CONTROLLER"
+        "--controllers", f"{CONTROLLER_NAMES}. {text}", nargs="+", metavar="CONTROLLER"
     )
 
 
@@ -132,7 +132,7 @@ def comparison_options(
         f" (default: {prices})"
     )
     return [
-        SCENARIOS,
+        SCENARIO_ARGUMENT,
         controllers(f"{kinds} {beside}"),
         option("--lambdas", several, nargs="+", type=lambdas, metavar="LAMBDA"),
         number("--seeds", seeds, "episodes per controller"),

@@ -21,11 +21,11 @@ from ms_highway.cli.console import (
     warn,
 )
 from ms_highway.cli.options import (
-    CONTROLLERS,
+    CONTROLLER_NAMES,
     DEFAULT_CONTROLLER,
     DEVICES,
     MAX_FIRST_SEED,
-    SCENARIOS,
+    SCENARIO_ARGUMENT,
     SET,
     comparison_options,
     configuration,
@@ -123,7 +123,7 @@ def report(options: argparse.Namespace) -> None:
     "video",
     "film an episode",
     option("scenario", ", ".join(SCENARIO_NAMES), metavar="SCENARIO"),
-    option("--controller", CONTROLLERS, DEFAULT_CONTROLLER, metavar="CONTROLLER"),
+    option("--controller", CONTROLLER_NAMES, DEFAULT_CONTROLLER, metavar="CONTROLLER"),
     option(
         "--against",
         "a second controller, filmed from the same start",
@@ -399,7 +399,7 @@ def _check_costs(batch: "Batch") -> None:
 @command(
     "values learn",
     "learn values of computation: when it pays to think",
-    SCENARIOS,
+    SCENARIO_ARGUMENT,
     output("--out", "of the values, such as values.npz", ".npz", required=True),
     number(
         "--states",
