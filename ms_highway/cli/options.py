@@ -71,7 +71,7 @@ notebooks/REFERENCE.md explains all keys; the most useful ones are:
                           the robot; or mixed, each human never or always
   human_driver=NAME       what drives the humans instead: a driver that --import adds by
                           ms_highway.add_driver
-  way_out=false           let plans ignore ways out from humans who do not yield
+  way_out=false           keep no way out from humans who do not yield
 
 A value is JSON, or words: a,b is a list, and a=1,b=2 a mapping."""
 
