@@ -40,9 +40,7 @@ KEYS = {
         ("IDLE", [120.0, 4.0], 5.0, True),
     ],
 )
-def test_an_ego_is_at_fault_unless_rear_ended_in_its_lane(
-    action, place, speed, at_fault
-):
+def test_an_ego_is_at_fault_unless_rear_ended_there(action, place, speed, at_fault):
     """An ego in the middle lane of an empty highway collides with another car."""
     config = {"vehicles_count": 0, "simulation_frequency": 15}
     env = gym.make("highway-fast-v0", config=config).unwrapped

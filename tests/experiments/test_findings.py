@@ -36,7 +36,7 @@ def said(**rewards):
     return answer(table, summary(table), "merger")
 
 
-def test_the_answer_tells_the_gain_and_what_controllers_keep_of_it():
+def test_the_answer_tells_which_gain_each_controller_keeps():
     message = said(
         naive=[1, 1.1], tom=[5, 5.1], learned_1=[5, 5.1], switching_1=[4, 4.1]
     )

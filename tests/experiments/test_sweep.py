@@ -55,7 +55,7 @@ def test_a_sweep_holds_episodes_steps_and_a_summary(swept):
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_resumes_on_fewer_devices_to_the_same_bytes(swept, tmp_path):
+def test_a_killed_sweep_resumes_to_the_same_bytes(swept, tmp_path):
     out = tmp_path / "out"
     flags = f"{os.environ['XLA_FLAGS']} --xla_force_host_platform_device_count=2"
     words = [sys.executable, "-m", "ms_highway", *f"{SWEEP} {out}".split()]

@@ -88,7 +88,7 @@ def test_an_agent_learns_to_choose_and_is_compared_with_others(
     assert agent.is_file()
 
 
-def test_trained_peers_drive_in_their_own_scene_and_are_refused_in_others(tmp_path):
+def test_trained_peers_drive_only_in_their_own_scene(tmp_path):
     pytest.importorskip(
         "stable_baselines3", reason="needs it: pip install stable-baselines3"
     )

@@ -98,7 +98,7 @@ def test_live_and_simulated_episodes_earn_the_same(compared, tmp_path):
     np.testing.assert_allclose(batch, alone[batch.index], atol=FENCES["live_and_batch"])
 
 
-def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
+def test_a_robot_with_a_belief_never_hits_unyielding_humans():
     env = gym.make(
         "ms-highway/merger-v0", config={"controller": "tom+belief", "yielding": "never"}
     )
@@ -113,7 +113,7 @@ def test_a_robot_with_a_belief_never_hits_humans_who_never_yield():
 @drives_long
 @pytest.mark.filterwarnings("ignore:.*is out of date")
 @pytest.mark.parametrize("scene", FENCES["stock"])
-def test_robots_in_stock_scenes_earn_their_usual_reward_and_crash_no_more_often(scene):
+def test_robots_in_stock_scenes_earn_and_crash_as_usual(scene):
     fence = FENCES["stock"][scene]
     env = ms_highway.drive(gym.make(scene))
     rewards, infos = zip(*(drive(env, seed) for seed in range(20)), strict=True)
@@ -141,9 +141,7 @@ def test_recorded_problems_are_solved_as_often_as_the_results_say(
 
 
 @pytest.mark.slow
-def test_the_shipped_drivers_predict_real_drivers_as_well_as_the_results_say(
-    us101_directory, capsys
-):
+def test_shipped_drivers_predict_real_ones_as_the_results_say(us101_directory, capsys):
     predictors = printed(
         capsys, f"irl evaluate --theta us101 --data {us101_directory}"
     )["predictors"]

@@ -77,7 +77,7 @@ def test_a_notebook_that_runs_quickly_shows_the_committed_outputs(path, tmp_path
             assert kinds(cell) == kinds(before)
 
 
-def test_committed_notebooks_are_executed_and_small_and_name_no_place_on_the_machine():
+def test_committed_notebooks_are_executed_small_and_without_local_paths():
     for path in NOTEBOOKS:
         assert path.stat().st_size < LARGEST, path
         notebook = nbformat.read(path, as_version=4)

@@ -30,7 +30,7 @@ def test_an_import_registers_environments_and_loads_names_only_when_used():
     python("-W", "error::ImportWarning", "-c", IMPORTED)
 
 
-def test_the_package_is_found_from_the_directory_above_a_checkout_of_its_name(tmp_path):
+def test_the_package_is_found_above_a_checkout_so_named(tmp_path):
     (tmp_path / "ms_highway" / "ms_highway").mkdir(parents=True)
     python(
         "-c",

@@ -104,7 +104,7 @@ def test_every_link_has_a_target():
     assert dead == []
 
 
-def test_a_text_on_an_example_names_only_options_and_algorithms_that_it_has():
+def test_texts_on_examples_name_only_what_these_have():
     for text in [*TEXTS.values(), *EXAMPLES.values()]:
         for options in re.finditer(r"examples/(\w+)\.py((?: [^`\s]+)*)", text):
             source = EXAMPLES.get(options[1], "")
@@ -130,7 +130,7 @@ def test_every_file_and_name_in_a_page_exists():
         assert (ROOT / "ms_highway" / place).exists() or (ROOT / place).exists(), place
 
 
-def test_the_map_lists_all_packages_in_the_order_of_their_imports():
+def test_the_map_lists_all_packages_in_import_order():
     (contract,) = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"][
         "importlinter"
     ]["contracts"]
@@ -139,7 +139,7 @@ def test_the_map_lists_all_packages_in_the_order_of_their_imports():
     )
 
 
-def test_the_tour_of_a_step_is_short_and_finds_its_code():
+def test_the_tour_of_a_step_finds_its_code():
     _, tour = TEXTS[MAP].split("## A reading room")
     stop = r"\]\(\.\./([\w/]+\.py)\):\s+((?:`[\w.]+`(?:,\s+)?)+)"
     lines = 0
@@ -195,7 +195,7 @@ def resolves(name):
     return False
 
 
-def test_the_driver_with_a_memory_of_the_guide_drives_the_same_episode_again():
+def test_the_guides_driver_with_a_memory_repeats_its_episode():
     (example,) = fences(MAP, "python")
     exec(example, {})
     try:

@@ -43,7 +43,7 @@ def test_every_named_table_agrees_with_the_files():
     assert (TEXTS[README] + TEXTS[RESULTS]).count("<!-- table:") == len(tables)
 
 
-def test_every_run_has_settings_and_commands_and_is_kept_until_it_is_repeated(tmp_path):
+def test_every_run_is_kept_with_settings_and_commands(tmp_path):
     before = kept_texts()
     made = json.loads(before[KEPT / "settings.json"])
     assert list(made) == list(COLLECTED.RUNS)
@@ -56,7 +56,7 @@ def test_every_run_has_settings_and_commands_and_is_kept_until_it_is_repeated(tm
     assert kept_texts() == before
 
 
-def test_sentences_on_shares_of_reward_and_planning_agree_with_the_summaries():
+def test_sentences_on_shares_agree_with_the_summaries():
     for scenario, names in {
         "merger": [
             "learned:1",

@@ -168,9 +168,7 @@ def test_a_belief_does_not_depend_on_the_order_of_humans(
 
 
 @given(predicted, draw.integers(0, MODELS - 1), draw.floats(0.01, 2.0))
-def test_a_human_is_believed_to_follow_the_model_that_predicted_it(
-    predicted, model, time_step
-):
+def test_the_model_that_predicted_a_human_is_believed(predicted, model, time_step):
     before = np.full((HUMANS, MODELS), 1 / MODELS)
     after = updated_probabilities(before, predicted, predicted[:, model], time_step)
     assert (after[:, model] >= after.max(axis=1) - 1e-12).all()

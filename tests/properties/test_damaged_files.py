@@ -106,7 +106,7 @@ def test_a_damaged_file_is_read_or_refused_by_its_name(kind, place, change):
 
 
 @given(share=draw.floats(0.0, 1.0, exclude_max=True))
-def test_a_file_that_was_cut_off_is_read_or_refused_by_its_name(kind, share):
+def test_a_truncated_file_is_read_or_named(kind, share):
     path, content, read = kind
     path.write_bytes(content[: int(share * len(content))])
     assert told(read, path) is None or path.name in told(read, path)

@@ -10,7 +10,7 @@ from ms_highway.runtime.files import FILE_NAMES, file_name, locked, replacing, t
 SIZE = 20_000  # bytes
 
 
-def test_a_file_that_does_not_fit_is_named_and_changes_nothing(tmp_path):
+def test_a_file_that_does_not_fit_changes_nothing(tmp_path):
     """As on a full disk, the error of the system names no file."""
     file = tmp_path / "summary.csv"
     file.write_text("before")
