@@ -17,7 +17,7 @@ from typing import (
     Protocol,
     SupportsFloat,
     TypeAlias,
-    runtime_checkable,
+    cast,
 )
 
 import gymnasium as gym
@@ -39,7 +39,6 @@ Policy: TypeAlias = Callable[[Observation], Action]
 """A function from an observation to an action."""
 
 
-@runtime_checkable
 class Predictor(Protocol):
     """An agent of stable-baselines3, or an object with the same method."""
 
@@ -104,11 +103,13 @@ def policy_of(name: str) -> Policy:
         ValueError: if the file is no agent.
     """
     agent = _agent(name)
-    if not isinstance(agent, Predictor):
-        return agent
+    # Not by isinstance, which from Python 3.12 on misses what `__getattr__` gives.
+    of_agent = getattr(agent, "predict", None)
+    if of_agent is None:
+        return cast(Policy, agent)
 
     def predict(observation: Observation) -> Action:
-        action, _ = agent.predict(observation, deterministic=True)
+        action, _ = of_agent(observation, deterministic=True)
         return action if action.shape else action.item()
 
     return predict

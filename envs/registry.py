@@ -74,8 +74,8 @@ def add_rule(
     * A class of a chooser chooses the models, and has the short name ``near:6`` with
       its first field, a number or a text, and ``near`` if all fields have defaults. It
       sees the gains of an estimator, if one is given. With two fields or more that have
-      no default, it has no short name. If it derives from
-      `ms_highway.choice.choosers.Price`, it chooses at a lambda.
+      no default, it has no short name. If it derives from `ms_highway.Priced`, it
+      chooses at a lambda.
     * A class of an estimator says what models gain, which are chosen at a lambda:
       ``mine:0.1``, see `ms_highway.choice.choosers.Price`.
 

@@ -152,7 +152,7 @@ class Settings(Struct, frozen=True):
     yielding: Literal["usual", "never", "always", "mixed"]
     """What humans do beside the robot: ``"usual"``, plan for their reward; ``"never"``,
     keep their velocity and never yield; ``"always"``, make room for the robot
-    (`ms_highway.loop.controller`); or ``"mixed"``, one of the last two, drawn for each
+    (`ms_highway.loop.yielding`); or ``"mixed"``, one of the last two, drawn for each
     human when the episode starts.
     """
 

@@ -17,7 +17,7 @@ or in a shell, ``ms-highway compare`` and ``ms-highway --help``.
 * Environments: ``ms-highway/stay-back-v1``, ``merger-v1`` and ``give-way-v1``, with one
   human, and ``dense-merge-v1`` and ``crossing-crowd-v1``, with several, all within what
   tyres hold. Version 0 with one human is the paper's scene; version 0 with several is
-  easier, see `InteractionEnv`. Further, ``demonstration-v0``, traffic to record driving
+  easier. Further, ``demonstration-v0``, traffic to record driving
   in, see `ms_highway.envs.DemonstrationEnv`; and ``recorded-v0``, recorded traffic with
   its planning problems, see `ms_highway.recorded.RecordedEnv`. `drive` lets the robot
   drive that and highway-env's own.

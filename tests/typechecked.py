@@ -125,6 +125,23 @@ SCENES = {
     for scene in (game, physical, several, stock, batch, prediction)
 }
 
+
+def check_watch() -> None:
+    """Check that a wrong type, and a wrong shape, are found."""
+    from ms_highway.game.dynamics import without_turns
+    from ms_highway.runtime.files import file_name
+
+    for function, wrong in ((file_name, 1), (without_turns, "no array")):
+        try:
+            function(wrong)
+        except jaxtyping.TypeCheckError:
+            continue
+        sys.exit(
+            f"{function.__qualname__} takes {wrong!r}: annotations are not checked"
+        )
+
+
 if __name__ == "__main__":
     watch()
+    check_watch()
     SCENES[sys.argv[1]]()

@@ -34,7 +34,7 @@ from ms_highway.choice.records import (
     Start,
 )
 
-# It was defined here before version 3.1, and stays importable.
+# It was defined here before version 3.0, and stays importable.
 from ms_highway.choice.shipped import PUBLISHED_COSTS as PUBLISHED_COSTS
 from ms_highway.game.game import Game
 from ms_highway.planning.costs import UNKNOWN, Costs

@@ -253,9 +253,7 @@ def sweep(options: argparse.Namespace) -> None:
         computing = nullcontext(partial(simulate_parts, devices=devices))
 
     with ResultsDirectory(out).owned() as directory, computing as compute:
-        counts = run_batched(
-            comparison, out, options.part, bool(options.steps), compute
-        )
+        counts = run_batched(comparison, out, options.part, options.steps, compute)
         total = len(list(comparison.episodes()))
         already = next(counts)
         record_run(directory, options, computes=already < total)

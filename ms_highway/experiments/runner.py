@@ -155,7 +155,7 @@ def run_batched(
     comparison: Comparison,
     directory: Path,
     part: int = 1024,
-    steps: bool = False,
+    steps: bool | None = None,
     compute: Compute = simulate_parts,
 ) -> Iterator[int]:
     """Simulate the episodes that a directory lacks, part by part, of a single scenario.
@@ -164,7 +164,8 @@ def run_batched(
         comparison: what to simulate.
         directory: directory of the results.
         part: number of episodes in a part; one part at a time is in memory.
-        steps: whether a row per step is kept as well, in ``steps``.
+        steps: whether a row per step is kept as well, in ``steps``; settings of results
+            hold it as it is given.
         compute: function that computes parts, here or elsewhere.
 
     Yields:

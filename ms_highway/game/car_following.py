@@ -13,7 +13,10 @@ from ms_highway.runtime.arrays import Numbers, Numeric, Scalar
 MeasuredBetween: TypeAlias = Literal["bumpers", "centres"]
 
 FREE_GAP = 1e3
-"""Gap to the car ahead where there is none [m]; so far, it changes no acceleration."""
+"""Gap to the car ahead where there is none [m].
+
+It changes an acceleration by less than 0.01 m/s^2 from that of an infinite gap.
+"""
 
 
 @dataclass(frozen=True)

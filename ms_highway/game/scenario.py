@@ -6,6 +6,7 @@ unit of length, such as that of the paper, 100/3 m, in which the released code c
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from numbers import Real
 from typing import ClassVar, Literal, TypeAlias
 
 import jax
@@ -267,8 +268,12 @@ class Scenario:
                 f"{self._place} has steps={self.steps!r}; give a whole number of steps,"
                 " 1 or more"
             )
-        finite = all(0 <= price < np.inf for price in self.prices)
-        if len(self.prices) != 2 or not finite:
+        lambdas = [
+            price
+            for price in self.prices
+            if isinstance(price, Real) and 0 <= price < np.inf
+        ]
+        if len(self.prices) != 2 or len(lambdas) != 2:
             raise ValueError(
                 f"{self._place} has the prices {self.prices!r}; give two lambdas, 0 or"
                 " more"

@@ -40,7 +40,10 @@ class RoadPlanning:
     bend_braking: ClassVar[float] = 2.5
     """Gentle deceleration before bends [m/s^2]."""
     lane_width: ClassVar[float] = 4.0
-    """Width of all lanes in terminal values: that of highway-env's lanes [m]."""
+    """Width of all lanes in terminal values, best responses and the room to stop [m].
+
+    It is that of highway-env's lanes.
+    """
 
     @property
     def lag(self) -> Scalar:

@@ -23,7 +23,6 @@ __all__ = [
     "ScriptedVehicle",
     "bicycle",
     "commuter",
-    "idm",
     "planning",
     "right_of_way",
     "states_of",

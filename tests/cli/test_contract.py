@@ -76,7 +76,7 @@ def test_help_fits_the_terminal_and_its_examples_parse(name, monkeypatch, capsys
 def test_help_texts_name_what_the_package_has():
     assert tuple(ENVIRONMENTS) == SCENARIO_NAMES
     assert tuple(DENSITIES) == irl.DENSITY_NAMES
-    controllers = options.CONTROLLERS.split(", ")
+    controllers = options.CONTROLLER_NAMES.split(", ")
     assert controllers[: len(PAPER_MODELS)] == list(PAPER_MODELS)
     known = set()
     for environment in ENVIRONMENTS.values():

@@ -117,6 +117,7 @@ WRONG = {
     "no model": ({"ladder": ()}, r"has the ladder \(\): impossible ladder"),
     "steps": ({"steps": 0}, "has steps=0; give a whole number of steps, 1 or more"),
     "price": ({"prices": (1.0,)}, r"has the prices \(1.0,\); give two lambdas"),
+    "prices of texts": ({"prices": ("a", "b")}, "has the prices .*; give two lambdas"),
     "car": (
         {"merging_car": 7},
         "has merging_car=7; give the place of one of its 3 cars",

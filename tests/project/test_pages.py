@@ -151,6 +151,14 @@ def test_the_tour_of_a_step_finds_its_code():
     assert 1000 < lines <= 1500
 
 
+def test_every_exported_name_exists():
+    for found in walk_packages(ms_highway.__path__, "ms_highway."):
+        if found.ispkg:
+            package = import_module(found.name)
+            for name in getattr(package, "__all__", ()):
+                resolve_name(f"{found.name}:{name}")
+
+
 def definitions(tree, prefix=""):
     """Yield the functions and classes of a module, and methods, by qualified name."""
     for node in tree.body:

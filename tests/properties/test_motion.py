@@ -30,7 +30,19 @@ def test_the_recovered_control_of_a_step_is_its_control(dynamics, car, control, 
     assert after.dtype == np.float64
     after[2] += turns * 2 * np.pi
     found = recover_control(dynamics, car, after)
-    np.testing.assert_allclose(found, control, atol=1e-8)
+    np.testing.assert_allclose(found, control, atol=1e-9)
+
+
+@given(any_dynamics, draw.lists(moving, min_size=6, max_size=6), controls)
+def test_many_cars_move_as_each_of_them_does(dynamics, cars, control):
+    cars = np.stack(cars).reshape(2, 3, 4)
+    many = np.broadcast_to(control, (2, 3, 2))
+    after = step(dynamics, cars, many)
+    for place in np.ndindex(2, 3):
+        alone = step(dynamics, cars[place], control)
+        np.testing.assert_allclose(after[place], alone, rtol=1e-12, atol=1e-12)
+    found = recover_control(dynamics, cars, after)
+    np.testing.assert_allclose(found, many, atol=1e-9)
 
 
 @given(any_dynamics, places, places, headings)

@@ -87,6 +87,13 @@ class Drive:
             from commonroad.scenario.trajectory import Trajectory
         recording = Path(self._env.config["recording"])
         scenario = self._scenario(recording)
+
+        # What may be refused is read before anything is written. A fixed date stands
+        # where the recording has none: equal drives give equal files.
+        identity = ScenarioID.from_benchmark_id(
+            scenario.attrib["benchmarkID"], scenario.attrib["commonRoadVersion"]
+        )
+        date = datetime.fromisoformat(scenario.get("date", "2000-01-01"))
         with replacing(directory / f"{name}.xml") as path:
             ElementTree.ElementTree(scenario).write(
                 path, encoding="utf-8", xml_declaration=True
@@ -110,11 +117,6 @@ class Drive:
             cost_function=CostFunction.JB1,
             trajectory=Trajectory(states[0].time_step, states),
         )
-        identity = ScenarioID.from_benchmark_id(
-            scenario.attrib["benchmarkID"], scenario.attrib["commonRoadVersion"]
-        )
-        # A fixed date where the recording has none: equal drives give equal files.
-        date = datetime.fromisoformat(scenario.get("date", "2000-01-01"))
         with replacing(directory / f"{name}.solution.xml") as path:
             writer = CommonRoadSolutionWriter(Solution(identity, [own], date=date))
             writer.write_to_file(str(path.parent.resolve()), path.name, overwrite=True)
