@@ -1,4 +1,4 @@
-"""Give colours to what is drawn, and to human models, with a word on each model."""
+"""Define the colours of drawings and of human models, and describe each model."""
 
 from dataclasses import dataclass
 from typing import TypeAlias

@@ -1,8 +1,8 @@
 """Draw what drives each human of an environment, and make its controller.
 
-Drivers have numbers: `ms_highway.loop.records.HUMAN_PLANS` is a human who plans for its
-own reward, and the names of ``config["human_driver"]`` or ``config["yielding"]`` count
-on from there.
+A number stands for each driver: `ms_highway.loop.records.HUMAN_PLANS` for a human who
+plans for its own reward, and the next ones for the drivers that
+``config["human_driver"]`` or ``config["yielding"]`` names.
 """
 
 import numpy as np

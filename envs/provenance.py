@@ -28,7 +28,7 @@ def warn_of_other_values(settings: Settings, scenario: Scenario, start: Start) -
     if values is None:
         return
 
-    # Where the values were learned, and what is other here.
+    # Compare the settings of learning with those of this environment.
     known = values.provenance
     scenarios = known.get("scenarios", [scenario.name])
     there = {name: known[name] for name in ("semantics", "solver") if name in known}

@@ -236,7 +236,7 @@ class FunctionalEnv:
         self.costs = settings.counted.select(model.name for model in self.loop.models)
         self._price = float(env.config["action"].get("lambda", 0.0))
 
-        # A start that is drawn for it shows what is wrong.
+        # Check functions of users at a start that is drawn for this purpose.
         random = np.random.default_rng(0)
         game = self.loop.game
         start, _ = env.draw_episode(random)

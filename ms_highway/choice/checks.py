@@ -1,6 +1,6 @@
-"""Check the parts of a user's rules, and what they return.
+"""Check the parts of a user's rules and their results.
 
-What the package's own parts return is not checked. Where JAX traces a decision, numbers
+Results of the package's own parts are not checked. Where JAX traces a decision, numbers
 are not known yet: `refuse_rungs` checks them afterwards.
 """
 

@@ -462,7 +462,7 @@ def _read(path: Path, content_digest: str) -> Values:
     if version != VALUES_FORMAT.version:
         raise ValueError(f"it is of version {version}, not {VALUES_FORMAT.version}")
 
-    # Numbers, which cannot be written, as all who read the file share them.
+    # Accept numbers only, and make them read-only: all readers of the file share them.
     for name, array in arrays.items():
         if array.dtype.kind not in "fiu":
             raise ValueError(f"{name} holds {array.dtype}; it must hold numbers")

@@ -1,4 +1,4 @@
-"""Define what rules take and return: what they remember, see and decide."""
+"""Define the memory, the evidence and the decisions of rules."""
 
 from dataclasses import dataclass, field
 from typing import Generic, NamedTuple, TypeVar
@@ -40,7 +40,7 @@ Cars = TypeVar("Cars")
 
 
 class Memory(NamedTuple):
-    """What a rule remembers: the rungs in use, when they were checked, what they gain.
+    """Remember the rungs in use, their last checks and their gains.
 
     Attributes:
         rungs: rung of every human in the plan of the last step; in a `Decision`, for

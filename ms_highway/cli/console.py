@@ -1,4 +1,4 @@
-"""Define commands and their options, print what they tell and keep their results."""
+"""Define commands and their options, print messages and record runs."""
 
 import argparse
 import io

@@ -288,7 +288,7 @@ def frontier(options: argparse.Namespace) -> None:
     from ms_highway.visualization.tables import regret_tables
     from ms_highway.visualization.tradeoff import frontier
 
-    # Refuse what is impossible before anything is computed or written.
+    # Check the options before any computation and any file.
     options.lambdas = options.lambdas or [FRONTIER_LAMBDAS]
     comparison = read_comparison(options, ["switching"], options.prices)
     devices = use_devices(options.devices)

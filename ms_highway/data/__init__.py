@@ -1,4 +1,4 @@
-"""Hold what is learned from recordings of drivers, and the files of the package.
+"""Hold rewards and drivers learned from recordings, and the data files.
 
 `learned_reward` is a reward with its provenance, `learned_drivers` describes how real
 drivers drive seconds ahead. `ms_highway.irl` learns both, and everything above
